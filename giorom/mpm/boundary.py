@@ -1,8 +1,9 @@
 """Walls of the box and the clamp plane, as nodes of the grid.
 
 Walls are frictionless and separating: on every node at or beyond a wall plane the component
-of velocity that points into the wall is set to zero, the others are left alone. On nodes at
-or below the clamp plane the whole velocity is zero.
+of velocity that points into the wall is set to zero, the others are left alone. Up to the first
+node at or above the clamp plane the whole velocity is zero: were a row of nodes free among
+held particles, which carry no strain, the body would creep over its own clamp.
 
 A wall acts through the grid, so its plane is a plane of nodes: the effective plane is the
 nearest one that is not inside the box asked for. By the width of the spline a particle that
@@ -39,7 +40,12 @@ class Walls:
     """First blocked node at the upper wall of each axis."""
 
     clamp_node: int
-    """Last sticky node of axis 1; -1 without a clamp."""
+    """Last sticky node of axis 1, the first at or above the clamp plane; -1 without."""
+
+    @property
+    def clamp_plane(self) -> float | None:
+        """Effective clamp plane: nothing at or below it moves [m]; None without a clamp."""
+        return None if self.clamp_node < 0 else self.clamp_node / self.grid_cells
 
     @property
     def planes(self) -> Float[Tensor, "d 2"]:
@@ -99,5 +105,5 @@ def walls_of(scene: Scene, grid_cells: int) -> Walls:
         )
     clamp_node = -1
     if scene.clamp_plane is not None:
-        clamp_node = math.floor(scene.clamp_plane * grid_cells + 1e-6)
+        clamp_node = math.ceil(scene.clamp_plane * grid_cells - 1e-6)
     return Walls(grid_cells=grid_cells, lower=lower, upper=upper, clamp_node=clamp_node)

@@ -110,7 +110,7 @@ class Engine:
             (
                 kernels.particles_to_grid,
                 self._count,
-                [*particles, volume, density, constants, dt, cells, self._grid],
+                [*particles, volume, held, density, constants, dt, cells, self._grid],
             ),
             (
                 kernels.grid_update,

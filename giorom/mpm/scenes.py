@@ -24,7 +24,7 @@ from torch import Tensor
 from giorom.mpm.materials import Material, make_material, material_attributes
 from giorom.mpm.mesh import load_mesh_shape
 from giorom.mpm.motion import IMPULSES, clamped_velocity, thrown_velocity
-from giorom.mpm.shape_library import SHAPES, draw_shape, require_shape
+from giorom.mpm.shape_library import SHAPES, Proportions, draw_shape, require_shape
 from giorom.mpm.shapes import Shape, fill
 from giorom.state import KINEMATIC
 
@@ -66,6 +66,9 @@ class SceneConfig:
     spin_range: list[float] = field(default_factory=lambda: [0.0, 0.0])
     """Range of the initial angular speed of a thrown body [rad/s]."""
 
+    slenderness: list[float] = field(default_factory=lambda: [0.5, 0.8])
+    """Range of width over height of a drawn body [-]."""
+
     gravity: float = 0.0
     """Downward acceleration [m/s^2]; 0 turns it off."""
 
@@ -94,7 +97,7 @@ class SceneConfig:
             )
         make_material(self.material, self.material_parameters)
         self._check_shapes()
-        for name in ("height_range", "speed_range", "spin_range"):
+        for name in ("height_range", "slenderness", "speed_range", "spin_range"):
             self._check_range(name, getattr(self, name))
         if not self.spacing > 0.0:
             raise ValueError(f"SceneConfig.spacing must be > 0 m, got {self.spacing!r}.")
@@ -136,8 +139,8 @@ class SceneConfig:
                 f"SceneConfig.{name} must be [lowest, highest] with 0 <= lowest <= highest, got "
                 f"{values!r}."
             )
-        if name == "height_range" and values[0] == 0.0:
-            raise ValueError(f"SceneConfig.height_range must start above 0 m, got {values!r}.")
+        if name in ("height_range", "slenderness") and values[0] == 0.0:
+            raise ValueError(f"SceneConfig.{name} must start above 0, got {values!r}.")
 
     def _check_placement(self) -> None:
         if self.placement is None:
@@ -178,7 +181,7 @@ class Scene:
     """Downward acceleration [m/s^2]."""
 
     clamp_plane: float | None = None
-    """Grid nodes at or below this height never move [m]; None: no clamp."""
+    """Particles at or below this height are held [m]; None: no clamp."""
 
     attributes: dict[str, Any] = field(default_factory=dict)
     """What made it, as JSON values."""
@@ -268,7 +271,10 @@ def _draw_body(config: SceneConfig, shape: str | None, generator: np.random.Gene
         if config.dimension != 3:
             raise ValueError(f"mesh {name} is a 3-D body and this scene is 2-D. Name a 2-D shape.")
         return load_mesh_shape(name, size=height)
-    return draw_shape(name, height=height, dimension=config.dimension, generator=generator)
+    wanted = Proportions(
+        height=height, dimension=config.dimension, slenderness=tuple(config.slenderness)
+    )
+    return draw_shape(name, wanted, generator=generator)
 
 
 def _center(config: SceneConfig, body: Shape, generator: np.random.Generator) -> np.ndarray:
@@ -328,7 +334,8 @@ WATER2D = SceneConfig(
     material_parameters={"density": 1000.0, "bulk_modulus": 4e5},
     shapes=["box"],
     held_out_shapes=["disc", "blob"],
-    height_range=[0.15, 0.3],
+    height_range=[0.1, 0.27],
+    slenderness=[0.6, 1.6],
     spacing=1.0 / 128.0,
     speed_range=[0.0, 0.7],
     gravity=GRAVITY,
@@ -347,6 +354,7 @@ JELLY3D = SceneConfig(
     spacing=1.0 / 64.0,
     speed_range=[0.0, 3.0],
     spin_range=[0.0, 3.0],
+    slenderness=[0.6, 1.0],
     gravity=GRAVITY,
 )
 """A bouncing elastic body on a grid of 32 cells; frames of 5 ms."""
