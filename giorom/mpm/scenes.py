@@ -213,9 +213,12 @@ def draw_scene(config: SceneConfig, *, seed: int, shape: str | None = None) -> S
     body = _draw_body(config, shape, streams[0])
     local, volume = fill(body, spacing=config.spacing, generator=streams[1])
     center = _center(config, body, streams[2])
-    position = local + center
     _require_inside(config, body, center)
-    speed = float(streams[2].uniform(*config.speed_range))
+    start = (_clamped if config.family == "clamped" else _thrown)(
+        config, body, local + center, streams[2]
+    )
+    material = make_material(config.material, config.material_parameters)
+    types = np.where(start.kinematic, KINEMATIC, material.particle_type)
     attributes = {
         "family": config.family,
         "seed": seed,
@@ -224,43 +227,78 @@ def draw_scene(config: SceneConfig, *, seed: int, shape: str | None = None) -> S
         "shape_parameters": body.parameters,
         "spacing": config.spacing,
         "gravity": config.gravity,
+        "clamp_plane": start.clamp_plane,
+        "initial_motion": start.drawn,
     }
-    kinematic = np.zeros(len(position), dtype=bool)
-    affine = np.zeros((config.dimension, config.dimension))
-    clamp_plane = None
-    if config.family == "clamped":
-        # At least one layer of particles is held, however flat the body is.
-        held = max(config.clamped_fraction * body.extent[1], config.spacing)
-        clamp_plane = config.base_height + held
-        kinematic = position[:, 1] <= clamp_plane
-        _require_free(config, body, kinematic)
-        velocity, motion = clamped_velocity(
-            position,
-            clamp_plane=clamp_plane,
-            impulses=config.impulses,
-            top_speed=speed,
-            generator=streams[2],
-        )
-    else:
-        spin = float(streams[2].uniform(*config.spin_range))
-        velocity, affine, motion = thrown_velocity(
-            position, speed=speed, spin=spin, generator=streams[2]
-        )
-    material = make_material(config.material, config.material_parameters)
-    types = np.where(kinematic, KINEMATIC, material.particle_type)
     return Scene(
-        position=torch.from_numpy(position).float(),
-        velocity=torch.from_numpy(velocity).float(),
-        affine_velocity=torch.from_numpy(affine).float().repeat(len(position), 1, 1),
-        volume=torch.full((len(position),), volume),
+        position=torch.from_numpy(local + center).float(),
+        velocity=torch.from_numpy(start.velocity).float(),
+        affine_velocity=torch.from_numpy(start.gradient).float().repeat(len(local), 1, 1),
+        volume=torch.full((len(local),), volume),
         particle_type=torch.from_numpy(types),
         material=material,
         bounds=torch.tensor([[config.wall, 1.0 - config.wall]] * config.dimension),
         gravity=config.gravity,
+        clamp_plane=start.clamp_plane,
+        attributes=attributes | material_attributes(material),
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Start:
+    """How a body starts: held part and motion."""
+
+    kinematic: np.ndarray
+    clamp_plane: float | None
+    velocity: np.ndarray
+    gradient: np.ndarray
+    drawn: dict[str, Any]
+
+
+def _clamped(
+    config: SceneConfig, body: Shape, position: np.ndarray, generator: np.random.Generator
+) -> _Start:
+    # At least one layer of particles is held, however flat the body is.
+    held = max(config.clamped_fraction * body.extent[1], config.spacing)
+    clamp_plane = config.base_height + held
+    kinematic = position[:, 1] <= clamp_plane
+    if bool(kinematic.all()):
+        raise ValueError(
+            f"shape {body.name} is {body.extent[1]:.3g} m high and all of it is clamped at "
+            f"spacing {config.spacing:g} m. Lower SceneConfig.spacing or clamped_fraction."
+        )
+    velocity, drawn = clamped_velocity(
+        position,
         clamp_plane=clamp_plane,
-        attributes=attributes
-        | material_attributes(material)
-        | {"initial_motion": motion, "clamp_plane": clamp_plane},
+        impulses=config.impulses,
+        top_speed=float(generator.uniform(*config.speed_range)),
+        generator=generator,
+    )
+    return _Start(
+        kinematic=kinematic,
+        clamp_plane=clamp_plane,
+        velocity=velocity,
+        gradient=np.zeros((config.dimension, config.dimension)),
+        drawn=drawn,
+    )
+
+
+def _thrown(
+    config: SceneConfig, body: Shape, position: np.ndarray, generator: np.random.Generator
+) -> _Start:
+    del body  # only a clamp depends on the shape
+    velocity, gradient, drawn = thrown_velocity(
+        position,
+        speed=float(generator.uniform(*config.speed_range)),
+        spin=float(generator.uniform(*config.spin_range)),
+        generator=generator,
+    )
+    return _Start(
+        kinematic=np.zeros(len(position), dtype=bool),
+        clamp_plane=None,
+        velocity=velocity,
+        gradient=gradient,
+        drawn=drawn,
     )
 
 
@@ -303,14 +341,6 @@ def _require_inside(config: SceneConfig, body: Shape, center: np.ndarray) -> Non
             f"shape {body.name} reaches {beyond[axis]:.3g} m beyond the {side} wall of axis "
             f"{axis} (walls at {config.wall:g} and {1.0 - config.wall:g} m). Lower "
             f"SceneConfig.height_range or wall, or change {remedy}."
-        )
-
-
-def _require_free(config: SceneConfig, body: Shape, kinematic: np.ndarray) -> None:
-    if bool(kinematic.all()):
-        raise ValueError(
-            f"shape {body.name} is {body.extent[1]:.3g} m high and all of it is clamped at "
-            f"spacing {config.spacing:g} m. Lower SceneConfig.spacing or clamped_fraction."
         )
 
 
