@@ -77,3 +77,86 @@ class Trajectory:
         return replace(
             self, position=self.position[:, index], particle_type=self.particle_type[index]
         )
+
+    def to(self, device: torch.device | str) -> Self:
+        """The same record on ``device``."""
+        return replace(
+            self,
+            position=self.position.to(device),
+            particle_type=self.particle_type.to(device),
+            bounds=self.bounds.to(device),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class SparseState:
+    """The sampled particles of one or several scenes, with the frames a model may look back on."""
+
+    history: Float[Tensor, "q w d"]
+    """Positions at the last ``w`` frames, oldest first [m]."""
+
+    reference: Float[Tensor, "q d"]
+    """Positions in the undeformed body [m]."""
+
+    particle_type: Int[Tensor, " q"]
+    """GNS particle types."""
+
+    batch: Int[Tensor, " q"]
+    """Index of the scene each particle belongs to, ascending."""
+
+    batch_size: int
+    """Number of scenes."""
+
+    bounds: Float[Tensor, "d 2"]
+    """Lower and upper wall of the domain on each axis [m]."""
+
+    frame_dt: float
+    """Time between frames [s]."""
+
+    @property
+    def position(self) -> Tensor:
+        """Positions at the current frame, shape (q, d) [m]."""
+        return self.history[:, -1]
+
+    @property
+    def velocity(self) -> Tensor:
+        """Backward difference of the last two frames, shape (q, d) [m/s]."""
+        return (self.history[:, -1] - self.history[:, -2]) / self.frame_dt
+
+    @property
+    def kinematic(self) -> Tensor:
+        """Boolean mask of the prescribed particles, shape (q)."""
+        return self.particle_type == KINEMATIC
+
+    def to(self, device: torch.device | str) -> Self:
+        """The same record on ``device``."""
+        tensors = ("history", "reference", "particle_type", "batch", "bounds")
+        return replace(self, **{name: getattr(self, name).to(device) for name in tensors})
+
+
+def concatenate_states(states: list[SparseState]) -> SparseState:
+    """Put several scenes side by side in one batch.
+
+    Raises:
+        ValueError: If the scenes disagree on frame time or walls.
+    """
+    first = states[0]
+    for state in states[1:]:
+        if state.frame_dt != first.frame_dt or not torch.equal(state.bounds, first.bounds):
+            raise ValueError(
+                f"scenes of one batch must share frame_dt and bounds; found frame_dt "
+                f"{first.frame_dt:g} s and {state.frame_dt:g} s. Batch them separately."
+            )
+    offsets = [0]
+    for state in states:
+        offsets.append(offsets[-1] + state.batch_size)
+    return replace(
+        first,
+        history=torch.cat([state.history for state in states]),
+        reference=torch.cat([state.reference for state in states]),
+        particle_type=torch.cat([state.particle_type for state in states]),
+        batch=torch.cat(
+            [state.batch + offset for state, offset in zip(states, offsets, strict=False)]
+        ),
+        batch_size=offsets[-1],
+    )

@@ -1,0 +1,65 @@
+"""Put files in place whole or not at all.
+
+Every file the package leaves behind goes through here: it is written under a temporary
+name in the same folder, flushed to the disk and renamed, so that a reader sees the old
+file or the new one and never a half. The temporary name starts with a dot and keeps the
+extension, because some writers choose their format by it.
+"""
+
+import json
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Give a temporary path that becomes ``path`` if the block ends without an exception.
+
+    Args:
+        path: File to create or replace; its folder is made if need be.
+
+    Yields:
+        The temporary path to write to. It is removed if the block fails.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.stem}.{os.getpid()}.tmp{path.suffix}")
+    try:
+        yield temporary
+        _flush(temporary)
+        os.replace(temporary, path)
+        _flush(path.parent)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_json(path: Path, content: Mapping[str, Any]) -> None:
+    """Write ``content`` as indented JSON, atomically.
+
+    Args:
+        path: File to create or replace.
+        content: JSON values; numbers must be finite.
+
+    Raises:
+        ValueError: If a value is not JSON or a number is not finite.
+    """
+    try:
+        text = json.dumps(dict(content), indent=2, allow_nan=False)
+    except (TypeError, ValueError) as error:
+        raise ValueError(
+            f"{path} can hold only JSON values with finite numbers, but {error}. "
+            f"Give lists, strings, numbers, true, false or null."
+        ) from error
+    with replacing(path) as temporary:
+        temporary.write_text(text + "\n", encoding="utf-8")
+
+
+def _flush(path: Path) -> None:
+    """Ask the operating system to put a file or folder on the disk."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,355 @@
+"""Read and write trajectories: one HDF5 file, or a data set folder.
+
+The file layout is LagrangeBench's: groups ``00000``, ``00001``, ... each with ``position``
+(float32, frames x particles x dim, gzip with shuffle) and ``particle_type`` (int32). The
+attributes ``frame_dt`` [s], ``bounds`` [m] and ``attributes`` (JSON: material, parameters,
+seed, shape ...) of a group are ours; other loaders ignore them. A *data set* is a folder with
+``train.h5``, ``valid.h5``, ``test.h5`` and a ``metadata.json`` that GNS and LagrangeBench
+loaders understand. The metadata file is written last: a folder without it is unfinished.
+
+Everything read is checked. What is wrong is said in one line by ``DataError``; an exception
+of the HDF5 library never leaves this module. Positions are metres and are stored in float32.
+"""
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from giorom.data.atomic import replacing
+from giorom.data.metadata import FORMAT_VERSION, DataError, read_metadata
+from giorom.state import Trajectory
+
+__all__ = [
+    "FORMAT_VERSION",
+    "SPLITS",
+    "DataError",
+    "iterate_trajectories",
+    "read_metadata",
+    "read_trajectory",
+    "read_trajectory_file",
+    "trajectory_count",
+    "write_trajectory_file",
+]
+
+SPLITS = ("train", "valid", "test")
+"""Names of the parts of a data set, in the order in which they are made."""
+
+CHUNK_BYTES = 1 << 20
+"""Aimed size of a compressed block: small enough that a window reads little else."""
+
+ATTRIBUTE_BYTES = 60_000
+"""Most bytes of JSON per trajectory; HDF5 stores an attribute in one 64 KiB header."""
+
+
+def write_trajectory_file(trajectory: Trajectory, path: Path) -> None:
+    """Write one trajectory to its own file, atomically.
+
+    Args:
+        trajectory: What to store; positions are rounded to float32.
+        path: File to create or replace.
+
+    Raises:
+        DataError: If the attributes are not JSON.
+    """
+    with replacing(path) as temporary, new_trajectory_file(temporary) as file:
+        _write_group(file, "00000", trajectory)
+
+
+def read_trajectory_file(path: Path) -> Trajectory:
+    """Read the only trajectory of a file made by ``write_trajectory_file``.
+
+    Args:
+        path: The file.
+
+    Returns:
+        The trajectory, positions in float32.
+
+    Raises:
+        DataError: If the file is missing, damaged, foreign or holds several trajectories.
+    """
+    with opened(path) as file:
+        names = _group_names(file)
+        if names != ["00000"]:
+            raise DataError(
+                f"{path} holds {len(names)} trajectories, but one is needed here. "
+                f"Choose one with read_trajectory(folder, split, index)."
+            )
+        return _read_group(file, "00000", path=path, metadata=None, frames=slice(None))
+
+
+def read_trajectory(
+    folder: Path, split: str, index: int, *, frames: slice = slice(None)
+) -> Trajectory:
+    """Read one trajectory of a data set.
+
+    Args:
+        folder: A finished data set.
+        split: ``train``, ``valid`` or ``test``.
+        index: Number of the trajectory within the split.
+        frames: Which frames; all by default. The step must be one.
+
+    Returns:
+        The trajectory, positions in float32.
+
+    Raises:
+        DataError: If the data set is unfinished or damaged, or has no such trajectory.
+    """
+    metadata = read_metadata(folder)
+    path = split_path(folder, split)
+    with opened(path) as file:
+        count = len(_group_names(file))
+        if not 0 <= index < count:
+            raise DataError(
+                f"{path} has no trajectory {index}; it holds {count}, numbered from 0. "
+                f"Ask for a number below {count}."
+            )
+        return _read_group(file, f"{index:05d}", path=path, metadata=metadata, frames=frames)
+
+
+def iterate_trajectories(folder: Path, split: str) -> Iterator[Trajectory]:
+    """Read the trajectories of a split one after the other, holding one in memory.
+
+    Args:
+        folder: A finished data set.
+        split: ``train``, ``valid`` or ``test``.
+
+    Yields:
+        Each trajectory, in the order of the file.
+
+    Raises:
+        DataError: As ``read_trajectory``.
+    """
+    for index in range(trajectory_count(folder, split)):
+        yield read_trajectory(folder, split, index)
+
+
+def trajectory_count(folder: Path, split: str) -> int:
+    """Count the trajectories of a split without reading them.
+
+    Args:
+        folder: A finished data set.
+        split: ``train``, ``valid`` or ``test``.
+
+    Returns:
+        The number of trajectories.
+
+    Raises:
+        DataError: If the data set is unfinished or the split's file is damaged.
+    """
+    read_metadata(folder)
+    with opened(split_path(folder, split)) as file:
+        return len(_group_names(file))
+
+
+def split_path(folder: Path, split: str) -> Path:
+    """Path of a split's file.
+
+    Args:
+        folder: The data set.
+        split: ``train``, ``valid`` or ``test``.
+
+    Returns:
+        The path, whether or not the file exists.
+
+    Raises:
+        DataError: If there is no such split.
+    """
+    if split not in SPLITS:
+        raise DataError(f"there is no split {split!r}; choose one of {', '.join(SPLITS)}.")
+    return folder / f"{split}.h5"
+
+
+@contextmanager
+def new_trajectory_file(path: Path) -> Iterator[Any]:
+    """Give an empty HDF5 file that is marked complete when the block ends well.
+
+    Args:
+        path: File to create; use a temporary name (``giorom.data.atomic.replacing``).
+
+    Yields:
+        The open ``h5py.File``.
+    """
+    import h5py
+
+    with h5py.File(path, "w") as file:
+        file.attrs["giorom_format_version"] = FORMAT_VERSION
+        yield file
+        file.flush()
+        file.attrs["complete"] = True
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[Any]:
+    """Open a trajectory file for reading, turning the library's exceptions into ``DataError``.
+
+    Args:
+        path: The file.
+
+    Yields:
+        The open ``h5py.File``.
+
+    Raises:
+        DataError: If the file is missing, truncated, not HDF5 or was never finished.
+    """
+    import h5py
+
+    if not path.is_file():
+        raise DataError(f"{path} does not exist. Check the path or make the data again.")
+    try:
+        with h5py.File(path, "r") as file:
+            _check_header(file, path)
+            yield file
+    except DataError:
+        raise
+    except (OSError, KeyError, RuntimeError) as error:
+        raise DataError(
+            f"{path} is truncated, damaged or no HDF5 file ({_one_line(error)}). "
+            f"Copy it again or remake it."
+        ) from None
+
+
+def _check_header(file: Any, path: Path) -> None:
+    """Reject files of a later format and files whose writer did not finish."""
+    version = file.attrs.get("giorom_format_version")
+    if version is None:
+        return
+    if int(version) > FORMAT_VERSION:
+        raise DataError(
+            f"{path} has format version {int(version)}, this program reads up to "
+            f"{FORMAT_VERSION}. Install a newer giorom."
+        )
+    if not bool(file.attrs.get("complete", False)):
+        raise DataError(f"{path} was not written to its end. Remove it and make it again.")
+
+
+def _group_names(file: Any) -> list[str]:
+    """Names of the trajectories, checked to be 00000, 00001, ...; a split of ours may be empty."""
+    names = sorted(file.keys())
+    expected = [f"{index:05d}" for index in range(len(names))]
+    ours = "giorom_format_version" in file.attrs
+    if names != expected or (not names and not ours):
+        raise DataError(
+            f"{file.filename} must hold groups 00000, 00001, ... without a gap, but its entries "
+            f"are {', '.join(names[:5]) or 'none'}. It is no trajectory file or a damaged one."
+        )
+    return names
+
+
+def _write_group(file: Any, name: str, trajectory: Trajectory) -> None:
+    """Store one trajectory in an open file."""
+    position = trajectory.position.detach().cpu().numpy().astype(np.float32)
+    frames_per_chunk = max(1, CHUNK_BYTES // max(1, position[0].nbytes))
+    group = file.create_group(name)
+    group.create_dataset(
+        "position",
+        data=position,
+        chunks=(min(frames_per_chunk, len(position)), *position.shape[1:]),
+        compression="gzip",
+        compression_opts=4,
+        shuffle=True,
+    )
+    group["particle_type"] = trajectory.particle_type.cpu().numpy().astype(np.int32)
+    group.attrs["frame_dt"] = trajectory.frame_dt
+    group.attrs["bounds"] = trajectory.bounds.detach().cpu().numpy()
+    group.attrs["attributes"] = _attributes_text(trajectory)
+
+
+def _attributes_text(trajectory: Trajectory) -> str:
+    """The free attributes of a trajectory as JSON."""
+    try:
+        text = json.dumps(trajectory.attributes, allow_nan=False)
+    except (TypeError, ValueError) as error:
+        raise DataError(
+            f"Trajectory.attributes must hold JSON values with finite numbers, but {error}."
+        ) from None
+    if len(text.encode()) > ATTRIBUTE_BYTES:
+        raise DataError(
+            f"Trajectory.attributes takes {len(text.encode())} bytes as JSON, more than "
+            f"{ATTRIBUTE_BYTES}. Keep large arrays out of it."
+        )
+    return text
+
+
+def _read_group(
+    file: Any, name: str, *, path: Path, metadata: dict[str, Any] | None, frames: slice
+) -> Trajectory:
+    """Read and check one trajectory of an open file."""
+    position, particle_type = _checked_arrays(file[name], f"{path}[{name}]")
+    if metadata is not None and position.shape[2] != metadata["dim"]:
+        raise DataError(
+            f"{path}[{name}] is {position.shape[2]}-dimensional, but metadata.json beside it says "
+            f"dim={metadata['dim']}. The files belong to different data sets."
+        )
+    frame_dt, bounds, attributes = _scene(file[name], metadata, f"{path}[{name}]")
+    if bounds.shape != (position.shape[2], 2):
+        raise DataError(
+            f"{path}[{name}] has bounds of shape {bounds.shape}, which must be (dim, 2)."
+        )
+    try:
+        return Trajectory(
+            position=torch.from_numpy(position[frames]),
+            particle_type=torch.from_numpy(particle_type[:].astype(np.int64)),
+            frame_dt=frame_dt,
+            bounds=torch.from_numpy(bounds.astype(np.float32)),
+            attributes=attributes,
+        )
+    except ValueError as error:
+        raise DataError(f"{path}[{name}]: {error}") from None
+
+
+def _checked_arrays(group: Any, where: str) -> tuple[Any, Any]:
+    """The two data sets of a group, unread, with the types and shapes of the format."""
+    import h5py
+
+    for key in ("position", "particle_type"):
+        if not isinstance(group, h5py.Group) or not isinstance(group.get(key), h5py.Dataset):
+            raise DataError(f"{where} has no '{key}'. It is no trajectory file or a damaged one.")
+    position, particle_type = group["position"], group["particle_type"]
+    if position.dtype != np.float32 or position.ndim != 3 or position.shape[2] not in (2, 3):
+        raise DataError(
+            f"{where}/position is {position.dtype} of shape {position.shape}; it must be float32 "
+            f"of shape (frames, particles, 2 or 3). Convert it with 'giorom import'."
+        )
+    if 0 in position.shape:
+        raise DataError(f"{where}/position is empty: its shape is {position.shape}. Remake it.")
+    if particle_type.dtype.kind not in "iu" or particle_type.shape != position.shape[1:2]:
+        raise DataError(
+            f"{where}/particle_type is {particle_type.dtype} of shape {particle_type.shape}; it "
+            f"must be one integer for each of the {position.shape[1]} particles."
+        )
+    return position, particle_type
+
+
+def _scene(
+    group: Any, metadata: dict[str, Any] | None, where: str
+) -> tuple[float, Any, dict[str, Any]]:
+    """Frame time [s], walls [m] and attributes: the group's own, else the data set's."""
+    known = group.attrs
+    if metadata is None and not {"frame_dt", "bounds"} <= set(known):
+        raise DataError(
+            f"{where} lacks the attributes frame_dt and bounds. Put a metadata.json beside it "
+            f"and read it as a data set, or convert it with 'giorom import'."
+        )
+    given = metadata or {}
+    frame_dt = known["frame_dt"] if "frame_dt" in known else _foreign_frame_dt(given)
+    bounds = known["bounds"] if "bounds" in known else given["bounds"]
+    try:
+        attributes = json.loads(known.get("attributes", "{}"))
+    except ValueError:
+        raise DataError(f"{where} has attributes that are no JSON. Remake the file.") from None
+    return float(frame_dt), np.asarray(bounds, dtype=np.float64), attributes
+
+
+def _foreign_frame_dt(metadata: dict[str, Any]) -> float:
+    """Frame time of a LagrangeBench set, whose ``dt`` is the solver's step."""
+    return float(metadata["dt"]) * float(metadata.get("write_every", 1))
+
+
+def _one_line(error: Exception) -> str:
+    """The first line of a library's message."""
+    return (str(error).strip().splitlines() or [type(error).__name__])[0]

@@ -1,0 +1,163 @@
+"""What the time-stepper sees: dimensionless features of the samples and of their edges.
+
+Stage 3b of the pipeline. Node features are velocities (newest last) and clipped distances to the
+walls; edge features are relative positions. For solids two more groups can be switched on: the
+edge in the undeformed body, and how far it has been displaced, because elastic forces depend on
+the rest shape, which neither velocities nor current positions contain.
+"""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from giorom.graph import Edges
+from giorom.normalization import Normalization
+from giorom.state import SparseState
+
+
+@dataclass(frozen=True, kw_only=True)
+class FeatureConfig:
+    """Which features are computed."""
+
+    velocities: int = 5
+    """Velocities given to the model; the history holds one frame more."""
+
+    velocity_form: Literal["standardized", "differences"] = "standardized"
+    """All velocities divided by the velocity scale (the paper), or the newest one so and the
+    differences between successive ones divided by the acceleration scale."""
+
+    walls: bool = True
+    """Distances to the walls in units of the graph radius, clipped to [-1, 1]."""
+
+    rest_edges: bool = False
+    """Add each edge in the undeformed body, its displacement and its stretch (for solids)."""
+
+    def __post_init__(self) -> None:
+        """Reject an empty history."""
+        if self.velocities < 1:
+            raise ValueError(f"FeatureConfig.velocities must be >= 1, got {self.velocities!r}.")
+
+    @property
+    def history(self) -> int:
+        """Frames a state must hold."""
+        return self.velocities + 1
+
+    def node_width(self, dimension: int) -> int:
+        """Channels per node."""
+        return dimension * (self.velocities + 2 * self.walls)
+
+    def edge_width(self, dimension: int) -> int:
+        """Channels per edge."""
+        return (dimension + 1) * (3 if self.rest_edges else 1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Features:
+    """Everything the network sees of a batch, dimensionless except the position."""
+
+    node: Float[Tensor, "q c"]
+    """Velocity history, oldest first with axes fastest; then lower and upper wall distances."""
+
+    particle_type: Int[Tensor, " q"]
+    """GNS particle types."""
+
+    edge: Float[Tensor, "e k"]
+    """(x_sender - x_receiver) / radius and its length; then the rest features, if any."""
+
+    edges: Edges
+    """The graph."""
+
+    position: Float[Tensor, "q d"]
+    """Positions, for the latent grid [m]."""
+
+    batch: Int[Tensor, " q"]
+    """Scene of each particle, ascending."""
+
+    batch_size: int = field(default=1)
+    """Number of scenes."""
+
+
+def compute_features(
+    state: SparseState,
+    edges: Edges,
+    config: FeatureConfig,
+    *,
+    normalization: Normalization,
+    radius: float,
+) -> Features:
+    """Features of a batch of sparse states.
+
+    Args:
+        state: Sparse state with ``config.history`` frames.
+        edges: Its graph.
+        config: Which features.
+        normalization: Scales of velocity and acceleration.
+        radius: Graph radius [m].
+
+    Raises:
+        ValueError: If the history of the state has another length.
+
+    Source:
+        arXiv:2407.03925v2, section 5.2 (node and edge features), with velocities standardised and
+        wall distances clipped.
+    """
+    if state.history.shape[1] != config.history:
+        raise ValueError(
+            f"the state holds {state.history.shape[1]} frames, the features need {config.history} "
+            f"(FeatureConfig.velocities={config.velocities})."
+        )
+    node = [_velocity_features(state, config, normalization)]
+    if config.walls:
+        low = (state.position - state.bounds[:, 0]) / radius
+        high = (state.bounds[:, 1] - state.position) / radius
+        node.append(torch.cat([low, high], dim=1).clamp(-1.0, 1.0))
+    edge = [_relative(state.position, edges, radius)]
+    if config.rest_edges:
+        edge += _rest_features(state, edges, radius, edge[0])
+    return Features(
+        node=torch.cat(node, dim=1),
+        particle_type=state.particle_type,
+        edge=torch.cat(edge, dim=1),
+        edges=edges,
+        position=state.position,
+        batch=state.batch,
+        batch_size=state.batch_size,
+    )
+
+
+def _velocity_features(
+    state: SparseState, config: FeatureConfig, normalization: Normalization
+) -> Tensor:
+    velocity = state.history.diff(dim=1) / state.frame_dt
+    if config.velocity_form == "standardized":
+        return normalization.velocity(velocity).flatten(1)
+    newest = normalization.velocity(velocity[:, -1:])
+    change = normalization.acceleration(velocity.diff(dim=1) / state.frame_dt)
+    return torch.cat([change, newest], dim=1).flatten(1)
+
+
+def _relative(position: Tensor, edges: Edges, radius: float) -> Tensor:
+    """Relative vector sender minus receiver and its length, in units of the radius."""
+    vector = (position[edges.sender] - position[edges.receiver]) / radius
+    return torch.cat([vector, _length(vector)], dim=1)
+
+
+def _rest_features(
+    state: SparseState, edges: Edges, radius: float, current: Tensor
+) -> list[Tensor]:
+    """Rest edge and its displacement, the latter magnified: strains are small."""
+    rest = _relative(state.reference, edges, radius)
+    return [rest, (current - rest) * DISPLACEMENT_GAIN]
+
+
+def _length(vector: Tensor) -> Tensor:
+    """Euclidean length with a finite gradient at zero."""
+    square = vector.square().sum(dim=1, keepdim=True)
+    return torch.where(square > 0.0, square.clamp_min(1e-30).sqrt(), torch.zeros_like(square))
+
+
+DISPLACEMENT_GAIN = 10.0
+"""Brings the displacement of an edge, about a tenth of its length, to order one."""

@@ -1,0 +1,268 @@
+"""Connect the sampled particles: radius graphs, and the radius itself.
+
+Stage 3 of the pipeline. An edge joins two particles of the same scene whose distance is at
+most ``radius``; every edge has its reverse, every particle has a self-loop, and no particle
+ever loses a neighbour to a cap. The radius follows from connectivity: the sparse graph must
+have as many connected components as the full-order one (arXiv:2407.03925v2, section 5.2),
+which a minimum spanning tree answers in closed form.
+"""
+
+from dataclasses import dataclass
+from itertools import product
+from typing import Literal, Self
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+
+@dataclass(frozen=True, kw_only=True)
+class GraphConfig:
+    """How the interaction graph is built."""
+
+    radius: float | None = None
+    """Interaction radius [m]; null: chosen from the connected components of the training bodies."""
+
+    margin: float = 1.5
+    """Factor on the smallest radius that keeps the components of the full graph."""
+
+    configuration: Literal["current", "reference"] = "current"
+    """Positions that decide who is a neighbour: the current ones (the paper), or those of the
+    undeformed body, whose graph never changes and suits solids that do not tear."""
+
+    def __post_init__(self) -> None:
+        """Reject values no graph can be built from."""
+        if self.radius is not None and not self.radius > 0.0:
+            raise ValueError(f"GraphConfig.radius must be > 0 m, got {self.radius!r}.")
+        if not self.margin >= 1.0:
+            raise ValueError(
+                f"GraphConfig.margin must be >= 1, got {self.margin!r}: below one the sparse graph "
+                f"falls apart."
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Edges:
+    """Directed edges, grouped by receiver."""
+
+    sender: Int[Tensor, " e"]
+    """Particle each message comes from."""
+
+    receiver: Int[Tensor, " e"]
+    """Particle each message goes to, ascending."""
+
+    offset: Int[Tensor, " q_plus_one"]
+    """First edge of each receiver; one more entry than there are particles."""
+
+    def to(self, device: torch.device | str) -> Self:
+        """The same edges on ``device``."""
+        return type(self)(
+            sender=self.sender.to(device),
+            receiver=self.receiver.to(device),
+            offset=self.offset.to(device),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class RadiusChoice:
+    """A graph radius and the reason for it."""
+
+    radius: float
+    """Chosen radius [m]."""
+
+    smallest: float
+    """Smallest radius whose graph has the wanted number of components [m]."""
+
+    margin: float
+    """Factor between the two."""
+
+    components: int
+    """Connected components of the full-order graph."""
+
+    full_radius: float
+    """Radius of the full-order graph [m]."""
+
+    mean_degree: float
+    """Mean number of neighbours of a sampled particle at the chosen radius, itself excluded."""
+
+    def __str__(self) -> str:
+        """One line for a log."""
+        return (
+            f"graph radius {self.radius:.4f} m = {self.margin:g} x {self.smallest:.4f} m, the "
+            f"smallest that keeps the {self.components} component(s) of the full graph (its own "
+            f"radius {self.full_radius:.4f} m); {self.mean_degree:.1f} neighbours per sample"
+        )
+
+
+def radius_edges(
+    position: Float[Tensor, "q d"], batch: Int[Tensor, " q"], radius: float
+) -> Edges:
+    """Connect all particles of the same scene that lie within ``radius``.
+
+    Args:
+        position: Positions [m].
+        batch: Scene of each particle, ascending.
+        radius: Largest distance of two neighbours [m].
+
+    Returns:
+        Edges in both directions with self-loops, sorted by receiver, then sender.
+
+    Raises:
+        ValueError: If ``radius`` is not positive or a position is not finite.
+    """
+    if not radius > 0.0:
+        raise ValueError(f"radius must be > 0 m, got {radius!r}.")
+    if not bool(torch.isfinite(position).all()):
+        raise ValueError("positions must be finite, found NaN or infinity; no graph can be built.")
+    if position.device.type == "cpu":
+        sender, receiver = _pairs_by_tree(position, batch, radius)
+    else:
+        sender, receiver = _pairs_by_cells(position, batch, radius)
+    return _sorted_edges(sender, receiver, position.shape[0])
+
+
+def concatenate_edges(edges: list[Edges]) -> Edges:
+    """Put the graphs of several scenes side by side, in the order of the scenes."""
+    shift = np.cumsum([0] + [len(e.offset) - 1 for e in edges])
+    first_edge = np.cumsum([0] + [len(e.sender) for e in edges])
+    last = edges[-1].offset[-1:] + int(first_edge[-2])
+    return Edges(
+        sender=torch.cat([e.sender + int(s) for e, s in zip(edges, shift, strict=False)]),
+        receiver=torch.cat([e.receiver + int(s) for e, s in zip(edges, shift, strict=False)]),
+        offset=torch.cat(
+            [e.offset[:-1] + int(f) for e, f in zip(edges, first_edge, strict=False)] + [last]
+        ),
+    )
+
+
+def component_count(position: Float[Tensor, "q d"], radius: float) -> int:
+    """Number of connected components of the radius graph of one scene."""
+    graph = _distance_graph(position.detach().cpu().double().numpy(), radius)
+    return int(connected_components(graph, directed=False)[0])
+
+
+def smallest_radius(position: Float[Tensor, "q d"], components: int) -> float:
+    """Smallest radius whose graph has at most ``components`` connected components.
+
+    The radius graph of radius r contains every edge of the Euclidean minimum spanning tree
+    that is no longer than r and has the components those edges leave, so the answer is the
+    (q - components)-th shortest edge of the tree.
+
+    Args:
+        position: Sampled positions of one scene [m].
+        components: Wanted number of components, at least one.
+
+    Returns:
+        The radius [m]; 0 if there are no more particles than components.
+    """
+    points = position.detach().cpu().double().numpy()
+    needed = len(points) - components
+    if needed <= 0:
+        return 0.0
+    radius = 2.0 * float(np.median(cKDTree(points).query(points, k=2)[0][:, 1])) or 1e-12
+    while True:
+        tree = minimum_spanning_tree(_distance_graph(points, radius))
+        if tree.nnz >= needed:
+            return float(np.sort(tree.data)[needed - 1])
+        radius *= 2.0
+
+
+def choose_radius(
+    sparse: Float[Tensor, "q d"],
+    full: Float[Tensor, "p d"],
+    *,
+    margin: float,
+    full_radius: float | None = None,
+) -> RadiusChoice:
+    """Choose the radius at which the sparse graph is as connected as the full one.
+
+    Args:
+        sparse: Sampled positions of one scene [m].
+        full: All positions of that scene [m].
+        margin: Factor on the smallest radius that will do, at least one.
+        full_radius: Radius of the full graph [m]; by default twice the median distance to the
+            nearest neighbour.
+
+    Source:
+        arXiv:2407.03925v2, section 5.2 (equal number of components); the closed form is ours.
+    """
+    if full_radius is None:
+        points = full.detach().cpu().double().numpy()
+        full_radius = 2.0 * float(np.median(cKDTree(points).query(points, k=2)[0][:, 1]))
+    components = component_count(full, full_radius)
+    smallest = smallest_radius(sparse, components)
+    radius = margin * max(smallest, full_radius)
+    pairs = cKDTree(sparse.detach().cpu().double().numpy()).query_pairs(
+        radius, output_type="ndarray"
+    )
+    return RadiusChoice(
+        radius=radius,
+        smallest=smallest,
+        margin=margin,
+        components=components,
+        full_radius=full_radius,
+        mean_degree=2.0 * len(pairs) / sparse.shape[0],
+    )
+
+
+def _distance_graph(points: np.ndarray, radius: float) -> coo_matrix:
+    """Upper triangle of the distance matrix, cut at ``radius``."""
+    pairs = cKDTree(points).query_pairs(radius, output_type="ndarray")
+    length = np.linalg.norm(points[pairs[:, 0]] - points[pairs[:, 1]], axis=1)
+    # SciPy reads a stored zero as "no edge": coincident particles are neighbours all the same.
+    length = np.maximum(length, np.finfo(np.float64).tiny)
+    return coo_matrix((length, (pairs[:, 0], pairs[:, 1])), shape=(len(points), len(points)))
+
+
+def _pairs_by_tree(position: Tensor, batch: Tensor, radius: float) -> tuple[Tensor, Tensor]:
+    """Neighbour pairs on the CPU, one k-d tree per scene; self-loops included."""
+    points, scene = position.detach().double().numpy(), batch.numpy()
+    starts = np.flatnonzero(np.r_[True, scene[1:] != scene[:-1], True]) if len(scene) else [0]
+    found = [np.stack([np.arange(len(points))] * 2, axis=1)]
+    for start, stop in zip(starts[:-1], starts[1:], strict=True):
+        pairs = cKDTree(points[start:stop]).query_pairs(radius, output_type="ndarray") + start
+        found += [pairs, pairs[:, ::-1]]
+    pairs = torch.from_numpy(np.concatenate(found))
+    return pairs[:, 0], pairs[:, 1]
+
+
+def _pairs_by_cells(position: Tensor, batch: Tensor, radius: float) -> tuple[Tensor, Tensor]:
+    """Neighbour pairs on any device by a cell list of side ``radius``; self-loops included."""
+    count, dimension = position.shape
+    cell = torch.floor((position - position.min(dim=0).values) / radius).long() + 1
+    shape = cell.max(dim=0).values + 2
+
+    def key(cells: Tensor) -> Tensor:
+        number = batch
+        for axis in range(dimension):
+            number = number * shape[axis] + cells[:, axis]
+        return number
+
+    order = torch.argsort(key(cell))
+    sorted_key = key(cell)[order]
+    receivers, senders = [], []
+    for shift in product((-1, 0, 1), repeat=dimension):
+        wanted = key(cell + torch.tensor(shift, device=position.device))
+        first = torch.searchsorted(sorted_key, wanted)
+        length = torch.searchsorted(sorted_key, wanted, right=True) - first
+        receiver = torch.repeat_interleave(torch.arange(count, device=position.device), length)
+        within = torch.arange(len(receiver), device=position.device) - torch.repeat_interleave(
+            torch.cumsum(length, 0) - length, length
+        )
+        sender = order[first[receiver] + within]
+        near = (position[sender] - position[receiver]).square().sum(1) <= radius * radius
+        receivers.append(receiver[near])
+        senders.append(sender[near])
+    return torch.cat(senders), torch.cat(receivers)
+
+
+def _sorted_edges(sender: Tensor, receiver: Tensor, count: int) -> Edges:
+    """Sort pairs by receiver, then sender, and mark where each receiver begins."""
+    order = torch.argsort(receiver * count + sender)
+    receiver = receiver[order]
+    offset = torch.searchsorted(receiver, torch.arange(count + 1, device=receiver.device))
+    return Edges(sender=sender[order], receiver=receiver, offset=offset)

@@ -1,0 +1,404 @@
+"""The learned time-stepper: velocities of the samples in, their accelerations out.
+
+Stage 4 of the pipeline, section 4 of the paper: an interaction operator takes the particles to
+a latent grid (message passing, then a kernel integral), the neural operator transformer works
+on the grid, and a second interaction operator brings the result back to the particles (kernel
+integral, then message passing with the edge features of the first). The acceleration returned
+is normalised; ``normalization.py`` gives it its units. Only the position is in metres, and the
+latent grid alone reads it.
+"""
+
+import warnings
+from dataclasses import dataclass, field
+from typing import Any, Literal, Self
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from giorom.features import Features
+from giorom.layers.aggregation import Grouping
+from giorom.layers.kernel_integral import KernelIntegral, PointPairs
+from giorom.layers.latent_grid import LatentGrid
+from giorom.layers.message_passing import MessagePassing, Neighborhood
+from giorom.layers.mlp import MLP, relu
+from giorom.layers.operator_attention import OperatorTransformer
+from giorom.state import PARTICLE_TYPE_COUNT
+
+__all__ = ["LatentBranch", "TimeStepper", "TimeStepperConfig"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class TimeStepperConfig:
+    """Size and variant of the network. ``paper`` and ``default`` give complete ones."""
+
+    dimension: int
+    """Space dimension, 2 or 3."""
+
+    node_width: int
+    """Channels of ``Features.node``."""
+
+    edge_width: int
+    """Channels of ``Features.edge``; the first dimension + 1 are the relative position."""
+
+    particle_types: int = PARTICLE_TYPE_COUNT
+    """Number of particle types."""
+
+    embedding: int = 16
+    """Channels of the particle-type embedding."""
+
+    hidden: int = 128
+    """Channels of node and edge features."""
+
+    mlp_depth: int = 3
+    """Linear layers of each network on nodes and edges."""
+
+    layers_before: int = 2
+    """Message-passing layers before the latent grid."""
+
+    layers_after: int = 2
+    """Message-passing layers after the latent grid."""
+
+    distance_weight: bool = True
+    """Weigh messages with 1 / (1 + length / radius) (official code; not in the paper)."""
+
+    node_skip: Literal["none", "linear"] = "none"
+    """Extra linear map beside each node update (what the official graph convolution does)."""
+
+    latent: bool = True
+    """Use the latent grid; without it the network is message passing alone."""
+
+    latent_bounds: list[list[float]] = field(default_factory=list)
+    """First and last grid node on each axis [m]; should contain every particle."""
+
+    latent_side: int = 16
+    """Grid nodes along each axis."""
+
+    latent_radius: float | None = None
+    """Reach of a grid node [m]; None means 1.5 times half the diagonal of a cell."""
+
+    occupied_tokens: bool = True
+    """Process only the grid nodes some particle reaches; all of them otherwise (paper)."""
+
+    gno_kernel: Literal["relative", "official"] = "relative"
+    """What the kernels see: offset and query place, or the source place alone."""
+
+    gno_in_hidden: list[int] = field(default_factory=lambda: [32, 64])
+    """Hidden widths of the kernel from particles to grid."""
+
+    gno_out_hidden: list[int] = field(default_factory=lambda: [32, 64])
+    """Hidden widths of the kernel from grid to particles."""
+
+    latent_width: int = 64
+    """Channels on the grid before the transformer."""
+
+    transformer_width: int = 256
+    """Channels inside the transformer."""
+
+    transformer_layers: int = 1
+    """Blocks of the transformer."""
+
+    transformer_mlp_depth: int = 1
+    """Residual layers of the transformer's embedding networks."""
+
+    heads: int = 4
+    """Attention heads."""
+
+    experts: int = 2
+    """Networks in each gated mixture."""
+
+    expert_hidden: int | None = None
+    """Hidden channels of an expert; None means ``transformer_width``."""
+
+    gate_input: Literal["coords", "features"] = "coords"
+    """What gates the experts: place (GNOT) or grid features (official code)."""
+
+    dropout: float = 0.0
+    """Dropout on the attention outputs (the official code uses 0.3)."""
+
+    projection_layers: int = 1
+    """Linear layers between grid and particle features."""
+
+    projection_width: int = 256
+    """Hidden channels of the projection, if it has more than one layer."""
+
+    def __post_init__(self) -> None:
+        """Reject what no network can be built from."""
+        self._check_choices()
+        self._check_counts()
+        if self.latent:
+            self._check_latent()
+
+    @classmethod
+    def paper(cls, dimension: int = 3, *, node_skip: bool = True, **overrides: Any) -> Self:
+        """The model of the published checkpoints, 2,387,669 parameters in three dimensions.
+
+        Args:
+            dimension: Space dimension.
+            node_skip: With the linear skip of the official code; 2,321,621 parameters without.
+            **overrides: Fields to change.
+
+        Returns:
+            The configuration.
+        """
+        three = dimension == 3
+        values: dict[str, Any] = {
+            "dimension": dimension,
+            "node_width": 7 * dimension,
+            "edge_width": dimension + 1,
+            "node_skip": "linear" if node_skip else "none",
+            "latent_bounds": [[0.0, 1.0]] * 3 if three else [[-1.0, 1.0]] * 2,
+            "latent_side": 16 if three else 32,
+            "latent_radius": 0.065 if three else 0.024,
+            "occupied_tokens": False,
+            "gno_kernel": "official",
+            "gate_input": "features",
+        }
+        return cls(**(values | overrides))
+
+    @classmethod
+    def default(
+        cls, dimension: int = 3, *, latent_bounds: list[list[float]], **overrides: Any
+    ) -> Self:
+        """The recommended model: kernels that see offsets, a grid that reaches every particle.
+
+        Args:
+            dimension: Space dimension.
+            latent_bounds: First and last grid node on each axis [m]: the padded domain.
+            **overrides: Fields to change.
+
+        Returns:
+            The configuration.
+        """
+        values: dict[str, Any] = {
+            "dimension": dimension,
+            "node_width": 7 * dimension,
+            "edge_width": dimension + 1,
+            "latent_bounds": latent_bounds,
+            "latent_side": 16 if dimension == 3 else 32,
+        }
+        return cls(**(values | overrides))
+
+    def _check_choices(self) -> None:
+        choices = {
+            "dimension": (2, 3),
+            "node_skip": ("none", "linear"),
+            "gno_kernel": ("relative", "official"),
+            "gate_input": ("coords", "features"),
+        }
+        for name, allowed in choices.items():
+            value = getattr(self, name)
+            if value not in allowed:
+                raise ValueError(
+                    f"TimeStepperConfig.{name} must be one of {allowed}, got {value!r}."
+                )
+        if not 0.0 <= self.dropout < 1.0:
+            raise ValueError(
+                f"TimeStepperConfig.dropout is a share and must be in [0, 1), got "
+                f"{self.dropout!r}. 0 switches it off."
+            )
+
+    def _check_counts(self) -> None:
+        positive = (
+            "node_width edge_width particle_types embedding hidden mlp_depth latent_width "
+            "transformer_width heads experts projection_layers projection_width"
+        ).split()
+        natural = "layers_before layers_after transformer_layers transformer_mlp_depth".split()
+        for least, names in ((1, positive), (0, natural)):
+            for name in names:
+                if getattr(self, name) < least:
+                    raise ValueError(
+                        f"TimeStepperConfig.{name} must be >= {least}, got {getattr(self, name)!r}."
+                    )
+        if self.edge_width < self.dimension + 1:
+            raise ValueError(
+                f"TimeStepperConfig.edge_width={self.edge_width} has no room for the relative "
+                f"position and its length; it must be >= dimension + 1 = {self.dimension + 1}."
+            )
+
+    def _check_latent(self) -> None:
+        if self.transformer_width % self.heads:
+            raise ValueError(
+                f"TimeStepperConfig.heads={self.heads} must divide "
+                f"transformer_width={self.transformer_width}."
+            )
+        if self.latent_side < 2:
+            raise ValueError(
+                f"TimeStepperConfig.latent_side must be >= 2 nodes, got {self.latent_side!r}. "
+                f"latent=False switches the grid off."
+            )
+        ordered = all(len(pair) == 2 and pair[0] < pair[1] for pair in self.latent_bounds)
+        if len(self.latent_bounds) != self.dimension or not ordered:
+            raise ValueError(
+                f"TimeStepperConfig.latent_bounds must be {self.dimension} pairs [low, high] in "
+                f"metres with low < high, got {self.latent_bounds!r}. Give the padded bounds of "
+                f"the data."
+            )
+        if self.latent_radius is not None and not self.latent_radius > 0.0:
+            raise ValueError(
+                f"TimeStepperConfig.latent_radius must be > 0 m, got {self.latent_radius!r}. "
+                f"None chooses one that reaches every particle."
+            )
+
+
+class LatentBranch(nn.Module):
+    """Particles to grid, transformer, grid to particles, projection (GNO . NOT . GNO)."""
+
+    def __init__(self, config: TimeStepperConfig) -> None:
+        """Make the networks.
+
+        Args:
+            config: Size and variant.
+        """
+        super().__init__()
+        self.grid = LatentGrid(
+            bounds=config.latent_bounds, side=config.latent_side, radius=config.latent_radius
+        )
+        self.occupied = config.occupied_tokens
+        common = {"dimension": config.dimension, "kernel": config.gno_kernel}
+        self.encode = KernelIntegral(
+            config.gno_in_hidden,
+            width_in=config.hidden,
+            width_out=config.latent_width,
+            transform="nonlinear_kernelonly",
+            **common,
+        )
+        self.transformer = OperatorTransformer(
+            config.latent_width,
+            config.transformer_width,
+            config.hidden,
+            dimension=config.dimension,
+            layers=config.transformer_layers,
+            depth=config.transformer_mlp_depth,
+            heads=config.heads,
+            experts=config.experts,
+            expert_hidden=config.expert_hidden or config.transformer_width,
+            gate_input=config.gate_input,
+            dropout=config.dropout,
+        )
+        self.decode = KernelIntegral(
+            config.gno_out_hidden,
+            width_in=config.hidden,
+            width_out=config.hidden,
+            transform="linear",
+            **common,
+        )
+        inner = [config.projection_width] * (config.projection_layers - 1)
+        self.projection = MLP([config.hidden, *inner, config.hidden], activation=nn.GELU())
+        self._warn_if_blind()
+
+    def forward(self, node: Float[Tensor, "q h"], features: Features) -> Float[Tensor, "q h"]:
+        """Exchange information through the grid of each sample.
+
+        Args:
+            node: Node features.
+            features: Positions and batch.
+
+        Returns:
+            What the grid adds to the node features.
+        """
+        pairs = self.grid.pairs(features.position)
+        tokens = self.grid.tokens(
+            pairs, features.batch, features.batch_size, occupied=self.occupied
+        )
+        coordinate = self.grid.node_unit(tokens.node, features.position)
+        dense = coordinate.expand(features.batch_size, -1, -1)
+        place = self.grid.unit(features.position)
+        of_token = Grouping.by(tokens.slot, dense.shape[0] * dense.shape[1])
+        of_particle = Grouping.by(pairs.particle, len(node))
+        inward = PointPairs(
+            query=of_token,
+            source=of_particle,
+            relative=pairs.relative,
+            query_position=dense.flatten(0, 1),
+            source_position=place,
+        )
+        outward = PointPairs(
+            query=of_particle,
+            source=of_token,
+            relative=-pairs.relative,
+            query_position=place,
+            source_position=dense.flatten(0, 1),
+        )
+        token = self.encode(node, inward).unflatten(0, dense.shape[:2])
+        token = self.transformer(token, coordinate, tokens.mask)
+        return self.projection(self.decode(token.flatten(0, 1), outward))
+
+    def _warn_if_blind(self) -> None:
+        """Say so when the grid cannot reach every particle."""
+        if self.grid.reach < self.grid.covering_radius:
+            warnings.warn(
+                f"latent_radius={self.grid.reach:g} m is below half the diagonal of a grid cell, "
+                f"{self.grid.covering_radius:g} m: particles far from every node get nothing from "
+                f"the grid. Raise latent_radius, raise latent_side, or set latent_radius=None.",
+                stacklevel=4,
+            )
+
+
+class TimeStepper(nn.Module):
+    """Predict the normalised acceleration of every sample (IO_dec . NOT . IO_enc)."""
+
+    def __init__(self, config: TimeStepperConfig) -> None:
+        """Make the networks.
+
+        Args:
+            config: Size and variant.
+        """
+        super().__init__()
+        self.config = config
+        hidden = [config.hidden] * config.mlp_depth
+        options = {"activation": relu, "unit_variance": True}
+        self.type_embedding = nn.Embedding(config.particle_types, config.embedding)
+        nn.init.xavier_uniform_(self.type_embedding.weight)
+        self.node_in = MLP(
+            [config.embedding + config.node_width, *hidden], layer_norm=True, **options
+        )
+        self.edge_in = MLP([config.edge_width, *hidden], layer_norm=True, **options)
+        self.before, self.after = (
+            nn.ModuleList(
+                MessagePassing(config.hidden, depth=config.mlp_depth, node_skip=config.node_skip)
+                for _ in range(count)
+            )
+            for count in (config.layers_before, config.layers_after)
+        )
+        self.latent = LatentBranch(config) if config.latent else None
+        self.node_out = MLP([*hidden, config.dimension], **options)
+
+    def forward(self, features: Features) -> Float[Tensor, "q d"]:
+        """Predict accelerations.
+
+        Args:
+            features: Everything the network sees of a batch.
+
+        Returns:
+            Normalised accelerations (dimensionless).
+        """
+        config = self.config
+        neighborhood = Neighborhood.of(
+            features.edges,
+            distance=features.edge[:, config.dimension],
+            distance_weight=config.distance_weight,
+        )
+        embedded = self.type_embedding(features.particle_type)
+        node = self.node_in(torch.cat([embedded, features.node], dim=-1))
+        edge = self.edge_in(features.edge)
+        for layer in self.before:
+            node, edge = layer(node, edge, neighborhood)
+        if self.latent is not None:
+            node = node + self.latent(node, features)
+        for layer in self.after:
+            node, edge = layer(node, edge, neighborhood)
+        return self.node_out(node)
+
+    def coverage(self, features: Features) -> Float[Tensor, ""]:
+        """Share of the particles the latent grid reaches; one without a grid.
+
+        Args:
+            features: Positions of a batch.
+
+        Returns:
+            A share between 0 and 1.
+        """
+        if self.latent is None:
+            return torch.ones((), device=features.position.device)
+        return self.latent.grid.coverage(features.position)

@@ -1,0 +1,124 @@
+"""Checkpoints: one directory each, complete or absent, without pickle.
+
+A checkpoint is written under a temporary name and renamed, so that a reader never sees half of
+one. It holds every number training needs to go on: weights, averaged weights, optimiser moments,
+random state and counters.
+"""
+
+import json
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load_file, save_file
+from torch import Tensor
+
+CHECKPOINT_PREFIX = "step-"
+
+
+class CheckpointError(ValueError):
+    """A checkpoint cannot be used; the message says why."""
+
+
+def write_directory(path: Path, fill: Callable[[Path], None]) -> None:
+    """Create the directory ``path`` with what ``fill`` writes, or leave the old one.
+
+    Args:
+        path: Directory to create or replace.
+        fill: Writes the contents into the directory it is given.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    retired = path.with_name(f".{path.name}.{os.getpid()}.old")
+    shutil.rmtree(temporary, ignore_errors=True)
+    temporary.mkdir()
+    try:
+        fill(temporary)
+        for file in temporary.iterdir():
+            with file.open("rb") as handle:
+                os.fsync(handle.fileno())
+        if path.exists():
+            path.rename(retired)
+        temporary.rename(path)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+        shutil.rmtree(retired, ignore_errors=True)
+
+
+def save_checkpoint(
+    folder: Path,
+    *,
+    step: int,
+    tensors: dict[str, Tensor],
+    record: dict[str, Any],
+) -> Path:
+    """Write checkpoint ``step`` below ``folder`` and drop the ones before it.
+
+    Args:
+        folder: Directory of the checkpoints of a run.
+        step: Optimiser steps done.
+        tensors: Named tensors.
+        record: JSON values.
+
+    Returns:
+        The new directory.
+    """
+    path = folder / f"{CHECKPOINT_PREFIX}{step:09d}"
+
+    def fill(directory: Path) -> None:
+        copies = {name: tensor.detach().cpu().clone() for name, tensor in tensors.items()}
+        save_file(copies, directory / "state.safetensors")
+        (directory / "state.json").write_text(json.dumps({"step": step, **record}))
+
+    write_directory(path, fill)
+    for older in folder.glob(f"{CHECKPOINT_PREFIX}*"):
+        if older.name < path.name:
+            shutil.rmtree(older)
+    return path
+
+
+def load_checkpoint(folder: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
+    """Read the newest checkpoint below ``folder``.
+
+    Raises:
+        CheckpointError: If there is none or it is damaged.
+    """
+    found = sorted(folder.glob(f"{CHECKPOINT_PREFIX}*"))
+    if not found:
+        raise CheckpointError(f"{folder} holds no checkpoint to resume from; train without --resume.")
+    try:
+        tensors = load_file(found[-1] / "state.safetensors")
+        record = json.loads((found[-1] / "state.json").read_text())
+    except (OSError, ValueError, SafetensorError) as error:
+        raise CheckpointError(
+            f"checkpoint {found[-1]} is damaged ({error}). Remove it to use an earlier one, or "
+            f"train without --resume."
+        ) from None
+    return tensors, record
+
+
+def optimizer_tensors(optimizer: torch.optim.Optimizer, names: list[str]) -> dict[str, Tensor]:
+    """Moments of the optimiser as named tensors: ``optimizer.<moment>.<parameter>``."""
+    states = optimizer.state_dict()["state"]
+    return {
+        f"optimizer.{moment}.{names[index]}": torch.as_tensor(value)
+        for index, moments in states.items()
+        for moment, value in moments.items()
+    }
+
+
+def load_optimizer_tensors(
+    optimizer: torch.optim.Optimizer, names: list[str], tensors: dict[str, Tensor]
+) -> None:
+    """Inverse of ``optimizer_tensors``; hyper-parameters stay those of ``optimizer``."""
+    states: dict[int, dict[str, Tensor]] = {}
+    for key, value in tensors.items():
+        if key.startswith("optimizer."):
+            _, moment, name = key.split(".", 2)
+            states.setdefault(names.index(name), {})[moment] = value
+    groups = optimizer.state_dict()["param_groups"]
+    optimizer.load_state_dict({"state": states, "param_groups": groups})
