@@ -1,0 +1,156 @@
+"""Random scenes: seeds, clamps, placement and what is refused."""
+
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from giorom.mpm import SolverConfig, draw_scene, simulate
+from giorom.mpm.scenes import ELASTIC3D, JELLY3D, WATER2D
+from giorom.state import ELASTIC, KINEMATIC, WATER
+
+trimesh = pytest.importorskip("trimesh")
+
+
+def test_importing_the_simulator_starts_neither_warp_nor_trimesh():
+    """Scenes can be drawn on a machine without the simulator's engine."""
+    code = (
+        "import sys, giorom.mpm; "
+        "from giorom.mpm.scenes import ELASTIC3D; giorom.mpm.draw_scene(ELASTIC3D, seed=0); "
+        "sys.exit('warp' in sys.modules or 'trimesh' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0  # noqa: S603
+
+
+@pytest.mark.parametrize("config", [ELASTIC3D, WATER2D, JELLY3D])
+def test_same_seed_gives_the_same_scene(config):
+    """Bit for bit; another seed gives another one."""
+    one, again, other = (draw_scene(config, seed=seed) for seed in (4, 4, 5))
+    for name in ("position", "velocity", "affine_velocity", "volume", "particle_type"):
+        assert torch.equal(getattr(one, name), getattr(again, name))
+    assert one.attributes == again.attributes
+    assert not torch.equal(one.position[0], other.position[0])
+
+
+@pytest.mark.parametrize("config", [ELASTIC3D, WATER2D, JELLY3D])
+def test_scenes_of_a_preset_lie_inside_their_walls(config):
+    """Every particle inside, velocities within the range, attributes are JSON values."""
+    for seed in range(12):
+        scene = draw_scene(config, seed=seed)
+        assert bool((scene.position > scene.bounds[:, 0]).all())
+        assert bool((scene.position < scene.bounds[:, 1]).all())
+        assert scene.attributes["shape"] in config.shapes
+        json.dumps(scene.attributes)
+
+
+def test_clamped_body_stands_on_its_clamp_and_moves_above_it():
+    """The lowest tenth is held and at rest; the top speed is the drawn one."""
+    for seed in range(12):
+        scene = draw_scene(ELASTIC3D, seed=seed)
+        held = scene.kinematic
+        height = scene.attributes["shape_extent"][1]
+        assert torch.equal(held, scene.position[:, 1] <= scene.clamp_plane)
+        assert scene.clamp_plane == pytest.approx(ELASTIC3D.base_height + 0.1 * height)
+        assert float(scene.velocity[held].abs().max()) == 0.0
+        assert set(scene.particle_type.tolist()) == {KINEMATIC, ELASTIC}
+        top = float(scene.velocity.norm(dim=1).max())
+        assert top == pytest.approx(scene.attributes["initial_motion"]["top_speed"], rel=1e-5)
+        assert 0.7 <= top <= 1.7
+
+
+def test_thrown_body_starts_as_a_rigid_motion():
+    """V = v_0 + omega x (x - x_c), the affine velocity being its gradient."""
+    scene = draw_scene(JELLY3D, seed=1)
+    around = scene.position - scene.position.mean(dim=0)
+    motion = scene.attributes["initial_motion"]
+    angular = torch.tensor(motion["angular_velocity"]).expand_as(around)
+    expected = torch.tensor(motion["linear_velocity"]) + torch.linalg.cross(angular, around)
+    torch.testing.assert_close(scene.velocity, expected, rtol=1e-5, atol=1e-5)
+    gradient = scene.affine_velocity[0]
+    torch.testing.assert_close(gradient, -gradient.T)
+
+
+def test_held_particles_never_move():
+    """Bit for bit, over a whole swing."""
+    scene = draw_scene(replace(ELASTIC3D, spacing=1.0 / 48.0, wall=0.1), seed=2)
+    solver = SolverConfig(grid_cells=24, frame_dt=5e-3, frames=61)
+    motion = simulate(scene, solver).position
+    assert torch.equal(motion[:, scene.kinematic], motion[:1, scene.kinematic].expand(61, -1, -1))
+    assert float((motion[-1] - motion[0])[~scene.kinematic].norm(dim=1).max()) > 1e-3
+
+
+@pytest.mark.parametrize("clamped_fraction", [0.1, 0.14, 0.18, 0.22])
+def test_body_swings_about_its_clamp_wherever_the_plane_lies(clamped_fraction: float):
+    """A cantilever returns: its mean displacement stays below a third of its largest.
+
+    The clamp plane passes between two rows of nodes at four different places; a row left
+    free among held particles would let the body creep off and never come back.
+    """
+    config = replace(
+        ELASTIC3D,
+        shapes=["box"],
+        height_range=[0.3, 0.3],
+        slenderness=[0.55, 0.55],
+        clamped_fraction=clamped_fraction,
+        impulses=["bend"],
+        speed_range=[1.0, 1.0],
+        spacing=1.0 / 48.0,
+        wall=0.1,
+    )
+    scene = draw_scene(config, seed=0)
+    motion = simulate(scene, SolverConfig(grid_cells=24, frame_dt=5e-3, frames=151)).position
+    top = scene.position[:, 1] > scene.position[:, 1].quantile(0.9)
+    swing = (motion - motion[0])[:, top].mean(dim=1)
+    assert swing.mean(dim=0).norm() < swing.norm(dim=1).max() / 3.0
+
+
+def test_water_drop_is_of_type_water_and_held_out_shapes_come_on_request():
+    """The ``shape`` argument reaches shapes that are never drawn."""
+    scene = draw_scene(WATER2D, seed=0, shape="disc")
+    assert scene.attributes["shape"] == "disc"
+    assert set(scene.particle_type.tolist()) == {WATER}
+
+
+def test_lying_mesh_is_clamped_over_its_own_height(tmp_path: Path):
+    """A rod along axis 0: longest edge = drawn height, one layer or more is held."""
+    path = tmp_path / "rod.obj"
+    trimesh.creation.box(extents=(8.0, 1.0, 2.0)).export(path)
+    scene = draw_scene(ELASTIC3D, seed=0, shape=str(path))
+    longest = scene.attributes["shape_extent"][0]
+    assert ELASTIC3D.height_range[0] <= longest <= ELASTIC3D.height_range[1]
+    assert 0 < int(scene.kinematic.sum()) < len(scene.position)
+
+
+def test_scene_that_reaches_beyond_a_wall_is_refused():
+    """The message says by how much, beyond which wall, and what to change."""
+    config = replace(JELLY3D, placement=[[0.1, 0.1], [0.5, 0.5], [0.5, 0.5]])
+    with pytest.raises(ValueError, match=r"m beyond the lower wall of axis 0 .*placement"):
+        draw_scene(config, seed=0)
+    with pytest.raises(ValueError, match="beyond the upper wall of axis 1"):
+        draw_scene(replace(ELASTIC3D, height_range=[0.9, 0.9]), seed=0)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"dimension": 4}, "dimension must be 2 or 3"),
+        ({"shapes": ["teapot"]}, "no 3-D shape 'teapot'"),
+        ({"shapes": []}, "needs at least one"),
+        ({"held_out_shapes": ["box"]}, "must not be in shapes too"),
+        ({"height_range": [0.3, 0.2]}, "lowest <= highest"),
+        ({"spacing": 0.0}, "spacing must be > 0 m"),
+        ({"wall": 0.5}, "between 0 and 0.5"),
+        ({"clamped_fraction": 1.0}, "between 0 and 1"),
+        ({"impulses": ["jump"]}, "bend, sway, twist, axial"),
+        ({"placement": [[0.5, 0.5]]}, "each of the 3 axes"),
+        ({"material": "steel"}, "no material 'steel'"),
+    ],
+)
+def test_impossible_configurations_are_refused(change: dict, message: str):
+    """Each message names the field and the rule."""
+    with pytest.raises(ValueError, match=message):
+        replace(ELASTIC3D, **change)

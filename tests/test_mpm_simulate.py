@@ -1,0 +1,130 @@
+"""The simulator's contract: frames, attributes and the guards that raise."""
+
+import importlib
+import json
+from dataclasses import replace
+
+import pytest
+import torch
+
+from giorom.mpm import Scene, SimulationError, SolverConfig, draw_scene, simulate
+from giorom.mpm.boundary import walls_of
+from giorom.mpm.scenes import ELASTIC3D, JELLY3D, WATER2D
+
+# ``giorom.mpm.simulate`` names the function; its module is reached like this.
+simulate_module = importlib.import_module("giorom.mpm.simulate")
+
+SOLVER = SolverConfig(grid_cells=24, frame_dt=5e-3, frames=11)
+COARSE = replace(JELLY3D, spacing=1.0 / 40.0, wall=0.1)
+
+
+def test_trajectory_starts_with_the_scene_and_has_exactly_the_frames_asked_for():
+    """Frame 0 is the scene; bounds are the wall nodes; attributes are JSON values."""
+    scene = draw_scene(COARSE, seed=0)
+    done = []
+    run = simulate(scene, SOLVER, progress=lambda frame, frames: done.append((frame, frames)))
+    assert run.position.shape == (11, *scene.position.shape)
+    assert torch.equal(run.position[0], scene.position)
+    assert run.bounds.tolist() == [[pytest.approx(2 / 24), pytest.approx(22 / 24)]] * 3
+    assert done == [(frame, 11) for frame in range(2, 12)]
+    kept = json.loads(json.dumps(run.attributes))
+    for key in ("material", "youngs_modulus", "seed", "shape", "gravity", "grid_cells"):
+        assert key in kept
+    assert kept["substep_dt"] * kept["substeps"] == pytest.approx(SOLVER.frame_dt)
+    assert kept["warp_version"]
+    assert kept["seconds"] > 0.0
+
+
+def test_body_thrown_at_the_walls_stays_inside_and_separates():
+    """A bouncing jelly and a falling drop keep within 0.6 cells of the wall planes."""
+    jelly = replace(COARSE, speed_range=[3.0, 3.0])
+    water = replace(WATER2D, spacing=1.0 / 64.0, wall=0.125)
+    for config, cells in ((jelly, 24), (water, 32)):
+        solver = SolverConfig(grid_cells=cells, frame_dt=5e-3, frames=121)
+        run = simulate(draw_scene(config, seed=3), solver)
+        slack = 0.6 / cells
+        assert bool((run.position >= run.bounds[:, 0] - slack).all())
+        assert bool((run.position <= run.bounds[:, 1] + slack).all())
+
+
+def test_substeps_chosen_are_the_fewest_the_rules_allow():
+    """One substep fewer breaks the wave rule, and the message gives the way out."""
+    scene = draw_scene(ELASTIC3D, seed=0)
+    solver = SolverConfig(grid_cells=32, frame_dt=5e-3, frames=2)
+    chosen = simulate(scene, solver).attributes["substeps"]
+    too_few = replace(solver, substeps=chosen - 1)
+    with pytest.raises(ValueError, match=rf"sound speed .* SolverConfig.substeps to {chosen}"):
+        simulate(scene, too_few)
+
+
+def test_wave_number_of_one_and_a_half_is_refused_before_the_run():
+    """The time-step guard raises; it does not return NaN."""
+    scene = draw_scene(ELASTIC3D, seed=0)
+    frame_dt = 1.5 / 32 / scene.material.sound_speed
+    with pytest.raises(ValueError, match="breaks the time-step rule"):
+        simulate(scene, SolverConfig(grid_cells=32, frame_dt=frame_dt, frames=2, substeps=1))
+
+
+def test_unstable_run_raises_with_its_frame(monkeypatch: pytest.MonkeyPatch):
+    """With the first guard switched off a far too large step ends in the second."""
+    monkeypatch.setattr(simulate_module, "largest_substep", lambda *_: (1.0, "switched off"))
+    scene = draw_scene(COARSE, seed=1)
+    solver = SolverConfig(grid_cells=24, frame_dt=2e-2, frames=200, substeps=1)
+    with pytest.raises(SimulationError, match=r"frame \d+: guard '(speed|finite|box)' broken"):
+        simulate(scene, solver)
+
+
+@pytest.mark.parametrize(
+    ("position", "speed", "guard"),
+    [
+        (float("nan"), 0.0, "guard 'finite'"),
+        (0.5, 1e4, "guard 'speed'"),
+        (0.01, 0.0, "guard 'box'"),
+    ],
+)
+def test_each_guard_names_itself_and_the_remedy(position: float, speed: float, guard: str):
+    """Checked on one particle of a frame."""
+    walls = walls_of(draw_scene(COARSE, seed=0), 24)
+    at, moving = torch.full((1, 3), position), torch.full((1, 3), speed)
+    with pytest.raises(SimulationError, match=rf"frame 7: {guard} broken.*Raise SolverConfig"):
+        simulate_module._require_sound(at, moving, walls, 1e-3, 7)
+
+
+@pytest.mark.parametrize(
+    ("position", "message"), [(float("nan"), "not finite"), (0.99, "outside its walls")]
+)
+def test_start_that_cannot_run_is_refused(position: float, message: str):
+    """Positions must be finite and inside."""
+    scene = draw_scene(COARSE, seed=0)
+    moved = scene.position.clone()
+    moved[5, 0] = position
+    with pytest.raises(ValueError, match=message):
+        simulate(Scene(**vars(scene) | {"position": moved}), SOLVER)
+
+
+def test_walls_too_near_the_side_of_the_grid_are_refused():
+    """Two cells of room on each side keep every stencil on the grid."""
+    scene = draw_scene(ELASTIC3D, seed=0)
+    with pytest.raises(ValueError, match=r"nearer than 2 cells .* SceneConfig.wall"):
+        simulate(scene, SolverConfig(grid_cells=16, frame_dt=5e-3, frames=2))
+
+
+def test_missing_device_is_refused():
+    """The message says what would work."""
+    with pytest.raises(ValueError, match="no device 'abacus'"):
+        simulate(draw_scene(COARSE, seed=0), SOLVER, device="abacus")
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"grid_cells": 4}, "at least 8"),
+        ({"frame_dt": 0.0}, "must be > 0 s"),
+        ({"frames": 0}, "at least 1"),
+        ({"substeps": 0}, "at least 1"),
+    ],
+)
+def test_impossible_solvers_are_refused(values: dict, message: str):
+    """Each message names the field."""
+    with pytest.raises(ValueError, match=message):
+        replace(SOLVER, **values)
