@@ -83,26 +83,25 @@ def test_held_particles_never_move():
     assert float((motion[-1] - motion[0])[~scene.kinematic].norm(dim=1).max()) > 1e-3
 
 
-@pytest.mark.parametrize("clamped_fraction", [0.1, 0.14, 0.18, 0.22])
+@pytest.mark.parametrize("clamped_fraction", [0.1, 0.129, 0.15, 0.18])
 def test_body_swings_about_its_clamp_wherever_the_plane_lies(clamped_fraction: float):
     """A cantilever returns: its mean displacement stays below a third of its largest.
 
-    The clamp plane passes between two rows of nodes at four different places; a row left
-    free among held particles would let the body creep off and never come back.
+    The clamp plane passes between two rows of nodes at four different places (4.96, 5.24,
+    5.44 and 5.73 cells); were the row below it the last sticky one, the body would tear off
+    its held particles (mean over largest 0.6, measured, against 0.15).
     """
     config = replace(
         ELASTIC3D,
         shapes=["box"],
         height_range=[0.3, 0.3],
-        slenderness=[0.55, 0.55],
+        slenderness=[0.53, 0.53],
         clamped_fraction=clamped_fraction,
         impulses=["bend"],
-        speed_range=[1.0, 1.0],
-        spacing=1.0 / 48.0,
-        wall=0.1,
+        speed_range=[1.5, 1.5],
     )
-    scene = draw_scene(config, seed=0)
-    motion = simulate(scene, SolverConfig(grid_cells=24, frame_dt=5e-3, frames=151)).position
+    scene = draw_scene(config, seed=1)
+    motion = simulate(scene, SolverConfig(grid_cells=32, frame_dt=5e-3, frames=121)).position
     top = scene.position[:, 1] > scene.position[:, 1].quantile(0.9)
     swing = (motion - motion[0])[:, top].mean(dim=1)
     assert swing.mean(dim=0).norm() < swing.norm(dim=1).max() / 3.0
