@@ -365,11 +365,11 @@ WATER2D = SceneConfig(
     shapes=["box"],
     held_out_shapes=["disc", "blob"],
     height_range=[0.1, 0.27],
-    slenderness=[0.6, 1.6],
+    slenderness=[0.5, 1.3],
     spacing=1.0 / 128.0,
     speed_range=[0.0, 0.7],
     gravity=GRAVITY,
-    wall=0.1,
+    wall=13.0 / 128.0,
 )
 """One drop of water on a grid of 128 cells; frames of 2.5 ms."""
 

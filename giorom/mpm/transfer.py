@@ -276,7 +276,7 @@ def build_kernels(dimension: int, law_name: str) -> SimpleNamespace:
         type of the strain variable.
     """
     law = LAWS[law_name](dimension)
-    module = f"giorom_mpm_{law_name}_{dimension}d"
+    module = wp.get_module(f"giorom_mpm_{law_name}_{dimension}d")
     return SimpleNamespace(
         particles_to_grid=_particles_to_grid(dimension, law, module),
         grid_update=_grid_update(dimension, module),
