@@ -4,6 +4,7 @@ The only module that launches the kernels of ``transfer.py``; imported when a si
 starts. The substeps of a frame are recorded once and replayed where the device allows it.
 """
 
+import os
 from typing import Any
 
 import torch
@@ -24,7 +25,7 @@ class Engine:
         self._count, self._dimension = scene.position.shape
         self._cells = walls.grid_cells
         self._material = scene.material
-        self._device = wp.get_device(device)
+        self._device = _open_device(device)
         self._kernels = build_kernels(self._dimension, scene.material.name)
         self._graphs: dict[int, Any] = {}
         self._walls = self._wall_arguments(walls)
@@ -110,7 +111,7 @@ class Engine:
             (
                 kernels.particles_to_grid,
                 self._count,
-                [*particles, volume, density, constants, dt, cells, self._grid],
+                [*particles, volume, held, density, constants, dt, cells, self._grid],
             ),
             (
                 kernels.grid_update,
@@ -130,3 +131,27 @@ class Engine:
             wp.vec3i(*walls.upper, *padding),
             walls.clamp_node,
         )
+
+
+def _open_device(name: str) -> Any:
+    """Start Warp, without its complaint about a missing GPU where none is asked for.
+
+    Raises:
+        ValueError: If there is no such device.
+    """
+    if name == "cpu":
+        complaints = os.dup(2)
+        with open(os.devnull, "w") as nowhere:
+            os.dup2(nowhere.fileno(), 2)
+        try:
+            wp.init()
+        finally:
+            os.dup2(complaints, 2)
+            os.close(complaints)
+    try:
+        return wp.get_device(name)
+    except (RuntimeError, ValueError) as error:
+        raise ValueError(
+            f"there is no device {name!r} to simulate on ({error}). Use 'cpu', or 'cuda' on a "
+            f"machine with an NVIDIA GPU."
+        ) from error

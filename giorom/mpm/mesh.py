@@ -68,6 +68,8 @@ def _read(path: Path) -> Any:
         raise ValueError(f"mesh file {path} holds no triangles. Export it as a triangle .obj.")
     if not np.isfinite(mesh.vertices).all():
         raise ValueError(f"mesh file {path} holds a coordinate that is not finite. Repair it.")
+    # A texture seam doubles vertices: the same corner, two texture coordinates.
+    mesh.merge_vertices(merge_tex=True, merge_norm=True)
     if not mesh.is_watertight:
         raise ValueError(
             f"mesh {path.name} is not closed: an inside needs every edge to be shared by two "

@@ -24,7 +24,7 @@ from torch import Tensor
 from giorom.mpm.materials import Material, make_material, material_attributes
 from giorom.mpm.mesh import load_mesh_shape
 from giorom.mpm.motion import IMPULSES, clamped_velocity, thrown_velocity
-from giorom.mpm.shape_library import SHAPES, draw_shape, require_shape
+from giorom.mpm.shape_library import SHAPES, Proportions, draw_shape, require_shape
 from giorom.mpm.shapes import Shape, fill
 from giorom.state import KINEMATIC
 
@@ -66,6 +66,9 @@ class SceneConfig:
     spin_range: list[float] = field(default_factory=lambda: [0.0, 0.0])
     """Range of the initial angular speed of a thrown body [rad/s]."""
 
+    slenderness: list[float] = field(default_factory=lambda: [0.5, 0.8])
+    """Range of width over height of a drawn body [-]."""
+
     gravity: float = 0.0
     """Downward acceleration [m/s^2]; 0 turns it off."""
 
@@ -94,7 +97,7 @@ class SceneConfig:
             )
         make_material(self.material, self.material_parameters)
         self._check_shapes()
-        for name in ("height_range", "speed_range", "spin_range"):
+        for name in ("height_range", "slenderness", "speed_range", "spin_range"):
             self._check_range(name, getattr(self, name))
         if not self.spacing > 0.0:
             raise ValueError(f"SceneConfig.spacing must be > 0 m, got {self.spacing!r}.")
@@ -136,8 +139,8 @@ class SceneConfig:
                 f"SceneConfig.{name} must be [lowest, highest] with 0 <= lowest <= highest, got "
                 f"{values!r}."
             )
-        if name == "height_range" and values[0] == 0.0:
-            raise ValueError(f"SceneConfig.height_range must start above 0 m, got {values!r}.")
+        if name in ("height_range", "slenderness") and values[0] == 0.0:
+            raise ValueError(f"SceneConfig.{name} must start above 0, got {values!r}.")
 
     def _check_placement(self) -> None:
         if self.placement is None:
@@ -178,7 +181,7 @@ class Scene:
     """Downward acceleration [m/s^2]."""
 
     clamp_plane: float | None = None
-    """Grid nodes at or below this height never move [m]; None: no clamp."""
+    """Particles at or below this height are held [m]; None: no clamp."""
 
     attributes: dict[str, Any] = field(default_factory=dict)
     """What made it, as JSON values."""
@@ -210,9 +213,12 @@ def draw_scene(config: SceneConfig, *, seed: int, shape: str | None = None) -> S
     body = _draw_body(config, shape, streams[0])
     local, volume = fill(body, spacing=config.spacing, generator=streams[1])
     center = _center(config, body, streams[2])
-    position = local + center
     _require_inside(config, body, center)
-    speed = float(streams[2].uniform(*config.speed_range))
+    start = (_clamped if config.family == "clamped" else _thrown)(
+        config, body, local + center, streams[2]
+    )
+    material = make_material(config.material, config.material_parameters)
+    types = np.where(start.kinematic, KINEMATIC, material.particle_type)
     attributes = {
         "family": config.family,
         "seed": seed,
@@ -221,43 +227,78 @@ def draw_scene(config: SceneConfig, *, seed: int, shape: str | None = None) -> S
         "shape_parameters": body.parameters,
         "spacing": config.spacing,
         "gravity": config.gravity,
+        "clamp_plane": start.clamp_plane,
+        "initial_motion": start.drawn,
     }
-    kinematic = np.zeros(len(position), dtype=bool)
-    affine = np.zeros((config.dimension, config.dimension))
-    clamp_plane = None
-    if config.family == "clamped":
-        # At least one layer of particles is held, however flat the body is.
-        held = max(config.clamped_fraction * body.extent[1], config.spacing)
-        clamp_plane = config.base_height + held
-        kinematic = position[:, 1] <= clamp_plane
-        _require_free(config, body, kinematic)
-        velocity, motion = clamped_velocity(
-            position,
-            clamp_plane=clamp_plane,
-            impulses=config.impulses,
-            top_speed=speed,
-            generator=streams[2],
-        )
-    else:
-        spin = float(streams[2].uniform(*config.spin_range))
-        velocity, affine, motion = thrown_velocity(
-            position, speed=speed, spin=spin, generator=streams[2]
-        )
-    material = make_material(config.material, config.material_parameters)
-    types = np.where(kinematic, KINEMATIC, material.particle_type)
     return Scene(
-        position=torch.from_numpy(position).float(),
-        velocity=torch.from_numpy(velocity).float(),
-        affine_velocity=torch.from_numpy(affine).float().repeat(len(position), 1, 1),
-        volume=torch.full((len(position),), volume),
+        position=torch.from_numpy(local + center).float(),
+        velocity=torch.from_numpy(start.velocity).float(),
+        affine_velocity=torch.from_numpy(start.gradient).float().repeat(len(local), 1, 1),
+        volume=torch.full((len(local),), volume),
         particle_type=torch.from_numpy(types),
         material=material,
         bounds=torch.tensor([[config.wall, 1.0 - config.wall]] * config.dimension),
         gravity=config.gravity,
+        clamp_plane=start.clamp_plane,
+        attributes=attributes | material_attributes(material),
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Start:
+    """How a body starts: held part and motion."""
+
+    kinematic: np.ndarray
+    clamp_plane: float | None
+    velocity: np.ndarray
+    gradient: np.ndarray
+    drawn: dict[str, Any]
+
+
+def _clamped(
+    config: SceneConfig, body: Shape, position: np.ndarray, generator: np.random.Generator
+) -> _Start:
+    # At least one layer of particles is held, however flat the body is.
+    held = max(config.clamped_fraction * body.extent[1], config.spacing)
+    clamp_plane = config.base_height + held
+    kinematic = position[:, 1] <= clamp_plane
+    if bool(kinematic.all()):
+        raise ValueError(
+            f"shape {body.name} is {body.extent[1]:.3g} m high and all of it is clamped at "
+            f"spacing {config.spacing:g} m. Lower SceneConfig.spacing or clamped_fraction."
+        )
+    velocity, drawn = clamped_velocity(
+        position,
         clamp_plane=clamp_plane,
-        attributes=attributes
-        | material_attributes(material)
-        | {"initial_motion": motion, "clamp_plane": clamp_plane},
+        impulses=config.impulses,
+        top_speed=float(generator.uniform(*config.speed_range)),
+        generator=generator,
+    )
+    return _Start(
+        kinematic=kinematic,
+        clamp_plane=clamp_plane,
+        velocity=velocity,
+        gradient=np.zeros((config.dimension, config.dimension)),
+        drawn=drawn,
+    )
+
+
+def _thrown(
+    config: SceneConfig, body: Shape, position: np.ndarray, generator: np.random.Generator
+) -> _Start:
+    del body  # only a clamp depends on the shape
+    velocity, gradient, drawn = thrown_velocity(
+        position,
+        speed=float(generator.uniform(*config.speed_range)),
+        spin=float(generator.uniform(*config.spin_range)),
+        generator=generator,
+    )
+    return _Start(
+        kinematic=np.zeros(len(position), dtype=bool),
+        clamp_plane=None,
+        velocity=velocity,
+        gradient=gradient,
+        drawn=drawn,
     )
 
 
@@ -268,7 +309,10 @@ def _draw_body(config: SceneConfig, shape: str | None, generator: np.random.Gene
         if config.dimension != 3:
             raise ValueError(f"mesh {name} is a 3-D body and this scene is 2-D. Name a 2-D shape.")
         return load_mesh_shape(name, size=height)
-    return draw_shape(name, height=height, dimension=config.dimension, generator=generator)
+    wanted = Proportions(
+        height=height, dimension=config.dimension, slenderness=tuple(config.slenderness)
+    )
+    return draw_shape(name, wanted, generator=generator)
 
 
 def _center(config: SceneConfig, body: Shape, generator: np.random.Generator) -> np.ndarray:
@@ -300,14 +344,6 @@ def _require_inside(config: SceneConfig, body: Shape, center: np.ndarray) -> Non
         )
 
 
-def _require_free(config: SceneConfig, body: Shape, kinematic: np.ndarray) -> None:
-    if bool(kinematic.all()):
-        raise ValueError(
-            f"shape {body.name} is {body.extent[1]:.3g} m high and all of it is clamped at "
-            f"spacing {config.spacing:g} m. Lower SceneConfig.spacing or clamped_fraction."
-        )
-
-
 ELASTIC3D = SceneConfig(
     family="clamped",
     dimension=3,
@@ -328,7 +364,8 @@ WATER2D = SceneConfig(
     material_parameters={"density": 1000.0, "bulk_modulus": 4e5},
     shapes=["box"],
     held_out_shapes=["disc", "blob"],
-    height_range=[0.15, 0.3],
+    height_range=[0.1, 0.27],
+    slenderness=[0.6, 1.6],
     spacing=1.0 / 128.0,
     speed_range=[0.0, 0.7],
     gravity=GRAVITY,
@@ -347,6 +384,7 @@ JELLY3D = SceneConfig(
     spacing=1.0 / 64.0,
     speed_range=[0.0, 3.0],
     spin_range=[0.0, 3.0],
+    slenderness=[0.6, 1.0],
     gravity=GRAVITY,
 )
 """A bouncing elastic body on a grid of 32 cells; frames of 5 ms."""

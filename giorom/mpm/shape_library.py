@@ -6,6 +6,7 @@ seed makes a shape. Bodies made to stand are cut flat at the base. Metres; NumPy
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -22,21 +23,36 @@ from giorom.mpm.shapes import (
     torus_distance,
 )
 
-SLENDERNESS = (0.45, 0.8)
-"""Range of width over height of a drawn body [-]."""
-
 BASE_CUT = 0.12
 """Part of the height cut off below rounded bodies, so that they stand [-]."""
 
 
-def _edges(generator: np.random.Generator, height: float, dimension: int) -> np.ndarray:
-    edges = height * generator.uniform(*SLENDERNESS, dimension)
-    edges[1] = height
-    return edges
+@dataclass(frozen=True, kw_only=True)
+class Proportions:
+    """What the drawn proportions of a body must satisfy."""
+
+    height: float
+    """Edge of the bounding box along axis 1 [m]."""
+
+    dimension: int
+    """2 or 3."""
+
+    slenderness: tuple[float, float]
+    """Range of width over height [-]."""
+
+    def widths(self, generator: np.random.Generator) -> np.ndarray:
+        """Draw the edges of the bounding box [m]."""
+        edges = self.height * generator.uniform(*self.slenderness, self.dimension)
+        edges[1] = self.height
+        return edges
+
+    def radius(self, generator: np.random.Generator) -> float:
+        """Draw half a width [m]."""
+        return 0.5 * self.height * float(generator.uniform(*self.slenderness))
 
 
-def _box(generator: np.random.Generator, height: float, dimension: int) -> Shape:
-    edges = _edges(generator, height, dimension)
+def _box(generator: np.random.Generator, wanted: Proportions) -> Shape:
+    edges = wanted.widths(generator)
     return Shape(
         name="box",
         level=box_distance(0.5 * edges),
@@ -46,15 +62,15 @@ def _box(generator: np.random.Generator, height: float, dimension: int) -> Shape
     )
 
 
-def _sphere(generator: np.random.Generator, height: float, dimension: int) -> Shape:
-    del generator
-    radius = 0.5 * height
+def _sphere(generator: np.random.Generator, wanted: Proportions) -> Shape:
+    del generator  # a ball has no proportions
+    radius, solid = 0.5 * wanted.height, wanted.dimension == 3
     return Shape(
-        name="sphere" if dimension == 3 else "disc",
+        name="sphere" if solid else "disc",
         level=capsule_distance(radius, 0.0),
-        extent=(height,) * dimension,
+        extent=(wanted.height,) * wanted.dimension,
         parameters={"radius": radius},
-        volume=(4.0 / 3.0 * radius if dimension == 3 else 1.0) * math.pi * radius**2,
+        volume=(4.0 / 3.0 * radius if solid else 1.0) * math.pi * radius**2,
     )
 
 
@@ -72,36 +88,35 @@ def _cut_superquadric(
     )
 
 
-def _ellipsoid(generator: np.random.Generator, height: float, dimension: int) -> Shape:
-    edges = _edges(generator, height, dimension)
+def _ellipsoid(generator: np.random.Generator, wanted: Proportions) -> Shape:
+    edges = wanted.widths(generator)
     return _cut_superquadric("ellipsoid", edges, 2.0, {})
 
 
-def _superquadric(generator: np.random.Generator, height: float, dimension: int) -> Shape:
+def _superquadric(generator: np.random.Generator, wanted: Proportions) -> Shape:
     power = float(generator.uniform(1.3, 6.0))
-    edges = _edges(generator, height, dimension)
+    edges = wanted.widths(generator)
     return _cut_superquadric("superquadric", edges, power, {"power": power})
 
 
-def _capsule(generator: np.random.Generator, height: float, dimension: int) -> Shape:
-    radius = 0.5 * height * float(generator.uniform(*SLENDERNESS))
-    half_length = 0.5 * height - radius
+def _capsule(generator: np.random.Generator, wanted: Proportions) -> Shape:
+    radius = min(wanted.radius(generator), 0.45 * wanted.height)
+    half_length = 0.5 * wanted.height - radius
     width, ends = 2.0 * radius, math.pi * radius**2
     volume = ends * (4.0 / 3.0 * radius + 2.0 * half_length)
-    if dimension == 2:
+    if wanted.dimension == 2:
         volume = ends + 2.0 * half_length * width
     return Shape(
         name="capsule",
         level=capsule_distance(radius, half_length),
-        extent=(width, height, width)[:dimension],
+        extent=(width, wanted.height, width)[: wanted.dimension],
         parameters={"radius": radius, "half_length": half_length},
         volume=volume,
     )
 
 
-def _cylinder(generator: np.random.Generator, height: float, dimension: int) -> Shape:
-    del dimension
-    radius = 0.5 * height * float(generator.uniform(*SLENDERNESS))
+def _cylinder(generator: np.random.Generator, wanted: Proportions) -> Shape:
+    radius, height = wanted.radius(generator), wanted.height
     return Shape(
         name="cylinder",
         level=cylinder_distance(radius, 0.5 * height),
@@ -111,9 +126,8 @@ def _cylinder(generator: np.random.Generator, height: float, dimension: int) -> 
     )
 
 
-def _cone(generator: np.random.Generator, height: float, dimension: int) -> Shape:
-    del dimension
-    radius = 0.5 * height * float(generator.uniform(0.6, 0.9))
+def _cone(generator: np.random.Generator, wanted: Proportions) -> Shape:
+    radius, height = 1.25 * wanted.radius(generator), wanted.height
     top = radius * float(generator.uniform(0.2, 0.6))
     return Shape(
         name="cone",
@@ -124,8 +138,8 @@ def _cone(generator: np.random.Generator, height: float, dimension: int) -> Shap
     )
 
 
-def _torus(generator: np.random.Generator, height: float, dimension: int) -> Shape:
-    del dimension
+def _torus(generator: np.random.Generator, wanted: Proportions) -> Shape:
+    height = wanted.height
     tube = 0.5 * height * float(generator.uniform(0.28, 0.38))
     ring = 0.5 * height - tube
     return Shape(
@@ -137,20 +151,20 @@ def _torus(generator: np.random.Generator, height: float, dimension: int) -> Sha
     )
 
 
-def _stack(generator: np.random.Generator, height: float, dimension: int) -> Shape:
+def _stack(generator: np.random.Generator, wanted: Proportions) -> Shape:
     """Four or five spheres on top of each other, shrinking upwards, melted into one."""
     count = int(generator.integers(4, 6))
-    centers = generator.uniform(-0.25, 0.25, (count, dimension))
-    centers[:, 1] = np.linspace(-1.2, 1.2, count) + generator.uniform(-0.1, 0.1, count)
-    radii = np.linspace(0.85, 0.6, count) * generator.uniform(0.85, 1.15, count)
-    return _melted("stack", centers, radii, height)
+    centers = generator.uniform(-0.25, 0.25, (count, wanted.dimension))
+    centers[:, 1] = np.linspace(-0.9, 0.9, count) + generator.uniform(-0.1, 0.1, count)
+    radii = np.linspace(0.9, 0.65, count) * generator.uniform(0.85, 1.15, count)
+    return _melted("stack", centers, radii, wanted.height)
 
 
-def _blob(generator: np.random.Generator, height: float, dimension: int) -> Shape:
+def _blob(generator: np.random.Generator, wanted: Proportions) -> Shape:
     """Six spheres around a common centre, melted into one."""
-    centers = generator.uniform(-0.7, 0.7, (6, dimension))
+    centers = generator.uniform(-0.7, 0.7, (6, wanted.dimension))
     centers[0] = 0.0
-    return _melted("blob", centers, generator.uniform(0.45, 0.8, 6), height)
+    return _melted("blob", centers, generator.uniform(0.45, 0.8, 6), wanted.height)
 
 
 def _melted(name: str, centers: np.ndarray, radii: np.ndarray, height: float) -> Shape:
@@ -172,7 +186,7 @@ def _melted(name: str, centers: np.ndarray, radii: np.ndarray, height: float) ->
     )
 
 
-Maker = Callable[[np.random.Generator, float, int], Shape]
+Maker = Callable[[np.random.Generator, Proportions], Shape]
 
 SHAPES: dict[str, tuple[Maker, tuple[int, ...]]] = {
     "box": (_box, (2, 3)),
@@ -204,15 +218,12 @@ def require_shape(name: str, dimension: int) -> None:
         )
 
 
-def draw_shape(
-    name: str, *, height: float, dimension: int, generator: np.random.Generator
-) -> Shape:
+def draw_shape(name: str, wanted: Proportions, *, generator: np.random.Generator) -> Shape:
     """Draw a shape of a stated height with random proportions.
 
     Args:
         name: A key of ``SHAPES``.
-        height: Edge of its bounding box along axis 1 [m].
-        dimension: 2 or 3.
+        wanted: Height, dimension and slenderness.
         generator: Source of the proportions.
 
     Returns:
@@ -221,5 +232,5 @@ def draw_shape(
     Raises:
         ValueError: If there is no such shape in that dimension.
     """
-    require_shape(name, dimension)
-    return SHAPES[name][0](generator, height, dimension)
+    require_shape(name, wanted.dimension)
+    return SHAPES[name][0](generator, wanted)

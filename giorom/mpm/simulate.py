@@ -38,7 +38,7 @@ class SolverConfig:
     """Resolution of the simulation in space and time."""
 
     grid_cells: int
-    """Grid cells per axis of the unit box; two per particle spacing or fewer [-]."""
+    """Grid cells per axis of the unit box; a cell is about two particle spacings wide [-]."""
 
     frame_dt: float
     """Time between stored frames [s]."""
@@ -117,6 +117,7 @@ def simulate(
         bounds=walls.planes.to(torch.float32),
         attributes=scene.attributes
         | _run_attributes(scene, solver, substeps, seconds)
+        | {"effective_clamp_plane": walls.clamp_plane}
         | engine.attributes,
     )
 

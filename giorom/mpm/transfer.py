@@ -123,6 +123,7 @@ def _particles_to_grid(dimension: int, law: SimpleNamespace, module: Any) -> Any
         affine: wp.array(dtype=matrix),
         state: wp.array(dtype=law.state),
         volume: wp.array(dtype=float),
+        held: wp.array(dtype=wp.uint8),
         density: float,
         parameters: wp.vec3,
         dt: float,
@@ -130,6 +131,8 @@ def _particles_to_grid(dimension: int, law: SimpleNamespace, module: Any) -> Any
         grid: wp.array(dtype=node),
     ):
         p = wp.tid()
+        if held[p] != wp.uint8(0):
+            return  # at rest and unstrained; its mass would drag on nodes above the clamp
         dx = 1.0 / float(cells)
         base = base_node(x[p], cells)
         fraction = offset(x[p], base, cells)
