@@ -1,0 +1,1 @@
+"""Motions as files for other programs: HDF5, VTKHDF, PLY, pictures and films."""
