@@ -126,7 +126,7 @@ def test_the_statistics_come_from_the_training_split_alone(tmp_path):
 
 @pytest.mark.parametrize("count", [3, 4, 7, 20, 101])
 def test_no_trajectory_is_in_two_splits(count):
-    """The splits are a partition; from three on none is empty; shares hold to one (1.5 of 3 or 4)."""
+    """The splits are a partition; from three on none is empty; shares hold to 1 (few: 1.5)."""
     split = split_parts(range(count))
     assert sorted(part for parts in split.values() for part in parts) == list(range(count))
     assert all(split.values())

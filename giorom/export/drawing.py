@@ -206,7 +206,7 @@ class Canvas:
         points = in_space(motion.position[0])
         points[:, 1] = corners[0, 1] + SHADOW_LIFT * self.scene.half_height
         shadow = pyvista.PolyData(points)
-        style = {"style": "points", "point_size": 0.7 * pixels, "lighting": False}
+        style = {"style": "points", "point_size": pixels, "lighting": False}
         self.plotter.add_mesh(shadow, color=SHADOW, reset_camera=False, **style)
         return shadow
 

@@ -197,12 +197,8 @@ def _domain(low: np.ndarray, high: np.ndarray, trajectory: Trajectory) -> np.nda
     left, _, back = np.maximum(low - border, wall[0])
     right, _, front = np.minimum(high + border, wall[1])
     height = wall[0, 1]
-    return np.array([[x, height, z] for x, z in _around(left, right, back, front)])
-
-
-def _around(left: float, right: float, back: float, front: float) -> list[tuple[float, float]]:
-    """Corners of a rectangle, in order."""
-    return [(left, back), (right, back), (right, front), (left, front)]
+    rectangle = ((left, back), (right, back), (right, front), (left, front))
+    return np.array([[x, height, z] for x, z in rectangle])
 
 
 def _largest_displacement(trajectory: Trajectory) -> float:

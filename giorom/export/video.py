@@ -19,7 +19,7 @@ from giorom.state import Trajectory
 
 __all__ = ["write_contact_sheet", "write_film"]
 
-FILM_PANEL, FILM_SHARPNESS = (640, 560), 1.5
+FILM_PANEL, FILM_SHARPNESS = (640, 560), 1.25
 """Width and height of a film's panel [pixels], and how much larger it is drawn."""
 
 SHEET_PANEL, SHEET_SHARPNESS = (400, 400), 2
