@@ -102,7 +102,7 @@ def write_contact_sheet(
         panel_size=SHEET_PANEL,
         rows=len(motions),
         columns=len(chosen),
-        sharpness=SHEET_SHARPNESS,
+        sharpness=float(SHEET_SHARPNESS),
     )
     with replacing(path) as temporary, picture as drawing:
         for row, (motion, title) in enumerate(zip(motions, titles, strict=True)):
