@@ -10,7 +10,7 @@ latent grid alone reads it.
 
 import warnings
 from dataclasses import dataclass, field
-from typing import Any, Literal, Self
+from typing import Any, Literal
 
 import torch
 from jaxtyping import Float
@@ -130,7 +130,9 @@ class TimeStepperConfig:
             self._check_latent()
 
     @classmethod
-    def paper(cls, dimension: int = 3, *, node_skip: bool = True, **overrides: Any) -> Self:
+    def paper(
+        cls, dimension: int = 3, *, node_skip: bool = True, **overrides: Any
+    ) -> "TimeStepperConfig":
         """The model of the published checkpoints, 2,387,669 parameters in three dimensions.
 
         Args:
@@ -159,7 +161,7 @@ class TimeStepperConfig:
     @classmethod
     def default(
         cls, dimension: int = 3, *, latent_bounds: list[list[float]], **overrides: Any
-    ) -> Self:
+    ) -> "TimeStepperConfig":
         """The recommended model: kernels that see offsets, a grid that reaches every particle.
 
         Args:
