@@ -305,26 +305,16 @@ class LatentBranch(nn.Module):
         )
         coordinate = self.grid.node_unit(tokens.node, features.position)
         dense = coordinate.expand(features.batch_size, -1, -1)
-        place = self.grid.unit(features.position)
-        of_token = Grouping.by(tokens.slot, dense.shape[0] * dense.shape[1])
-        of_particle = Grouping.by(pairs.particle, len(node))
         inward = PointPairs(
-            query=of_token,
-            source=of_particle,
+            query=Grouping.by(tokens.slot, dense.shape[0] * dense.shape[1]),
+            source=Grouping.by(pairs.particle, len(node)),
             relative=pairs.relative,
             query_position=dense.flatten(0, 1),
-            source_position=place,
-        )
-        outward = PointPairs(
-            query=of_particle,
-            source=of_token,
-            relative=-pairs.relative,
-            query_position=place,
-            source_position=dense.flatten(0, 1),
+            source_position=self.grid.unit(features.position),
         )
         token = self.encode(node, inward).unflatten(0, dense.shape[:2])
         token = self.transformer(token, coordinate, tokens.mask)
-        return self.projection(self.decode(token.flatten(0, 1), outward))
+        return self.projection(self.decode(token.flatten(0, 1), inward.reversed()))
 
     def _warn_if_blind(self) -> None:
         """Say so when the grid cannot reach every particle."""
