@@ -8,7 +8,6 @@ one Cholesky factorisation serves a whole trajectory.
 The solve runs in float64 whatever the precision of the network.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
@@ -20,9 +19,6 @@ from torch import Tensor, nn
 @dataclass(frozen=True, kw_only=True)
 class NeuralFieldConfig:
     """Size of the neural field."""
-
-    dimension: int
-    """Space dimension, 2 or 3."""
 
     modes: int = 20
     """Number r of basis functions."""
@@ -41,10 +37,6 @@ class NeuralFieldConfig:
 
     def __post_init__(self) -> None:
         """Reject sizes no field can be built with."""
-        if self.dimension not in (2, 3):
-            raise ValueError(
-                f"NeuralFieldConfig.dimension must be 2 or 3, got {self.dimension!r}."
-            )
         for name in ("modes", "width", "depth"):
             if getattr(self, name) < 1:
                 raise ValueError(
@@ -57,6 +49,10 @@ class NeuralFieldConfig:
 class NeuralField(nn.Module):
     """Basis functions U(X) on the reference body.
 
+    Args:
+        config: Size.
+        dimension: Space dimension, 2 or 3.
+
     Source:
         Chang et al., "LiCROM", SIGGRAPH Asia 2023 (linear basis as a neural field);
         arXiv:2407.03925v2, equations 4, 5 and 11.
@@ -65,16 +61,16 @@ class NeuralField(nn.Module):
     center: Tensor
     scale: Tensor
 
-    def __init__(self, config: NeuralFieldConfig) -> None:
+    def __init__(self, config: NeuralFieldConfig, *, dimension: int) -> None:
         super().__init__()
-        self.config = config
-        self.register_buffer("center", torch.zeros(config.dimension))
-        self.register_buffer("scale", torch.ones(config.dimension))
-        widths = [config.dimension] + [config.width] * config.depth
+        self.config, self.dimension = config, dimension
+        self.register_buffer("center", torch.zeros(dimension))
+        self.register_buffer("scale", torch.ones(dimension))
+        widths = [dimension] + [config.width] * config.depth
         self.hidden = nn.ModuleList(
             nn.Linear(a, b) for a, b in zip(widths, widths[1:], strict=False)
         )
-        self.output = nn.Linear(config.width, config.dimension * config.modes)
+        self.output = nn.Linear(config.width, dimension * config.modes)
         for layer in [*self.hidden, self.output]:
             nn.init.xavier_uniform_(layer.weight)
             nn.init.zeros_(layer.bias)
@@ -90,7 +86,7 @@ class NeuralField(nn.Module):
         for layer in self.hidden:
             value = layer(value)
             value = torch.sin(value) if self.config.activation == "sine" else nn.functional.elu(value)
-        return self.output(value).unflatten(1, (self.config.dimension, self.config.modes))
+        return self.output(value).unflatten(1, (self.dimension, self.config.modes))
 
 
 class SampleSolver:
@@ -188,16 +184,3 @@ def projection_loss(
     found = coefficients @ basis[solve_count:].flatten(0, 1).double().T
     energy = displacement.double().square().mean(dim=(1, 2)) + 1e-12
     return ((found - target).square().mean(dim=1) / energy).mean().to(reference.dtype)
-
-
-def chunked_positions(
-    decoder_field: NeuralField,
-    query: Float[Tensor, "p d"],
-    coefficients: Float[Tensor, " r"],
-    *,
-    chunk: int = 65536,
-) -> Iterator[Float[Tensor, "c d"]]:
-    """Positions of arbitrarily many points in fixed memory, ``chunk`` at a time [m]."""
-    for part in query.split(chunk):
-        with torch.no_grad():
-            yield part + decoder_field(part) @ coefficients.to(part.dtype)

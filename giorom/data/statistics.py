@@ -11,7 +11,7 @@ acceleration x_{k+1} - 2 x_k + x_{k-1} [m/frame^2]. ``in_si`` gives m/s and m/s^
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Any, Self
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -38,7 +38,7 @@ class Statistics:
     acceleration_std: Float[Tensor, " d"]
     """Standard deviation of the acceleration [m/frame^2]."""
 
-    def in_si(self, *, frame_dt: float) -> Self:
+    def in_si(self, *, frame_dt: float) -> "Statistics":
         """The same numbers per second.
 
         Args:
@@ -49,7 +49,7 @@ class Statistics:
         """
         return self._scaled(1.0 / _checked(frame_dt))
 
-    def per_frame(self, *, frame_dt: float) -> Self:
+    def per_frame(self, *, frame_dt: float) -> "Statistics":
         """The inverse of ``in_si``.
 
         Args:
@@ -70,7 +70,7 @@ class Statistics:
         }
 
     @classmethod
-    def from_metadata(cls, metadata: dict[str, Any]) -> Self:
+    def from_metadata(cls, metadata: dict[str, Any]) -> "Statistics":
         """Per-frame statistics of a data set.
 
         Args:
@@ -97,7 +97,7 @@ class Statistics:
             acceleration_std=values[3],
         )
 
-    def _scaled(self, frequency: float) -> Self:
+    def _scaled(self, frequency: float) -> "Statistics":
         """Velocities times ``frequency``, accelerations times its square."""
         return replace(
             self,

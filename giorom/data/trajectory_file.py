@@ -21,6 +21,7 @@ import numpy as np
 import torch
 
 from giorom.data.atomic import replacing
+from giorom.data.metadata import FORMAT_VERSION, DataError, read_metadata
 from giorom.state import Trajectory
 
 __all__ = [
@@ -35,24 +36,14 @@ __all__ = [
     "write_trajectory_file",
 ]
 
-FORMAT_VERSION = 1
-"""Version of the layout; a reader refuses files of a later one."""
-
 SPLITS = ("train", "valid", "test")
 """Names of the parts of a data set, in the order in which they are made."""
-
-REQUIRED_KEYS = ("bounds", "sequence_length", "default_connectivity_radius", "dim", "dt")
-"""Metadata a data set cannot be used without (GNS's names)."""
 
 CHUNK_BYTES = 1 << 20
 """Aimed size of a compressed block: small enough that a window reads little else."""
 
 ATTRIBUTE_BYTES = 60_000
 """Most bytes of JSON per trajectory; HDF5 stores an attribute in one 64 KiB header."""
-
-
-class DataError(ValueError):
-    """A data file is missing, damaged, foreign or does not fit the others."""
 
 
 def write_trajectory_file(trajectory: Trajectory, path: Path) -> None:
@@ -155,33 +146,6 @@ def trajectory_count(folder: Path, split: str) -> int:
         return len(_group_names(file))
 
 
-def read_metadata(folder: Path) -> dict[str, Any]:
-    """Read and check ``metadata.json`` of a data set.
-
-    Args:
-        folder: The data set.
-
-    Returns:
-        GNS's keys (``dt`` [s] is the real time between frames; velocities and accelerations
-        are per frame), LagrangeBench's, and ours.
-
-    Raises:
-        DataError: If the file is missing, is not JSON, lacks a key, or is of a later format.
-    """
-    path = folder / "metadata.json"
-    try:
-        metadata = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise DataError(
-            f"{folder} has no metadata.json, so it is no finished data set: that file is "
-            f"written last. Run the command that makes the data again; it continues."
-        ) from None
-    except (OSError, ValueError) as error:
-        raise DataError(f"{path} is not readable JSON ({error}). Restore or remake it.") from None
-    _check_metadata(metadata, path)
-    return metadata
-
-
 def split_path(folder: Path, split: str) -> Path:
     """Path of a split's file.
 
@@ -264,10 +228,11 @@ def _check_header(file: Any, path: Path) -> None:
 
 
 def _group_names(file: Any) -> list[str]:
-    """Names of the trajectories, checked to be 00000, 00001, ..."""
+    """Names of the trajectories, checked to be 00000, 00001, ...; a split of ours may be empty."""
     names = sorted(file.keys())
     expected = [f"{index:05d}" for index in range(len(names))]
-    if not names or names != expected:
+    ours = "giorom_format_version" in file.attrs
+    if names != expected or (not names and not ours):
         raise DataError(
             f"{file.filename} must hold groups 00000, 00001, ... without a gap, but its entries "
             f"are {', '.join(names[:5]) or 'none'}. It is no trajectory file or a damaged one."
@@ -383,25 +348,6 @@ def _scene(
 def _foreign_frame_dt(metadata: dict[str, Any]) -> float:
     """Frame time of a LagrangeBench set, whose ``dt`` is the solver's step."""
     return float(metadata["dt"]) * float(metadata.get("write_every", 1))
-
-
-def _check_metadata(metadata: Any, path: Path) -> None:
-    """Reject metadata that no reader could use."""
-    if not isinstance(metadata, dict):
-        raise DataError(f"{path} must hold a JSON object, not a {type(metadata).__name__}.")
-    missing = [key for key in REQUIRED_KEYS if key not in metadata]
-    if missing:
-        raise DataError(f"{path} lacks {', '.join(missing)}. It is no metadata of a data set.")
-    if metadata.get("format_version", 0) > FORMAT_VERSION:
-        raise DataError(
-            f"{path} has format version {metadata['format_version']}, this program reads up to "
-            f"{FORMAT_VERSION}. Install a newer giorom."
-        )
-    if metadata["dim"] not in (2, 3) or len(metadata["bounds"]) != metadata["dim"]:
-        raise DataError(
-            f"{path} says dim={metadata['dim']!r} with {len(metadata['bounds'])} bounds; dim must "
-            f"be 2 or 3 with one [lower, upper] per axis."
-        )
 
 
 def _one_line(error: Exception) -> str:

@@ -1,0 +1,21 @@
+"""Material point simulator: scenes in, full-order trajectories out.
+
+Stage 1 of the pipeline. Importing it starts no simulator: Warp and trimesh are loaded only
+by ``simulate`` and by the reading of a mesh file.
+"""
+
+from giorom.mpm.materials import StableNeoHookean, WeaklyCompressibleFluid, make_material
+from giorom.mpm.scenes import Scene, SceneConfig, draw_scene
+from giorom.mpm.simulate import SimulationError, SolverConfig, simulate
+
+__all__ = [
+    "Scene",
+    "SceneConfig",
+    "SimulationError",
+    "SolverConfig",
+    "StableNeoHookean",
+    "WeaklyCompressibleFluid",
+    "draw_scene",
+    "make_material",
+    "simulate",
+]

@@ -1,0 +1,74 @@
+"""Read configuration records from plain values, and say clearly what is wrong with them.
+
+A configuration is a frozen dataclass beside the code it steers. This module turns nested JSON or
+YAML values into one, checking every type; the records check their own values.
+"""
+
+import dataclasses
+import difflib
+import typing
+from collections.abc import Iterable
+from typing import Any, TypeVar
+
+Record = TypeVar("Record")
+
+
+def nearest(word: str, known: Iterable[str]) -> str:
+    """A hint for a misspelt name: the nearest known one, or all of them."""
+    known = list(known)
+    found = difflib.get_close_matches(word, known, n=1, cutoff=0.5)
+    hint = f"Did you mean {found[0]!r}? " if found else ""
+    return f"{hint}Known: {', '.join(known)}."
+
+
+def parse_record(kind: type[Record], values: Any, *, where: str) -> Record:
+    """Build a configuration record from plain values.
+
+    Args:
+        kind: A frozen dataclass.
+        values: Nested mapping, as JSON or YAML gives it.
+        where: What the values are, for messages.
+
+    Raises:
+        ValueError: If a key is unknown or missing, or a value has the wrong type or is refused.
+    """
+    from jsonargparse import ArgumentError, ArgumentParser
+
+    check_keys(kind, values, where=where)
+    parser = ArgumentParser(exit_on_error=False)
+    parser.add_class_arguments(kind)
+    try:
+        parsed = parser.instantiate(parser.parse_object(values))
+        return kind(**{field.name: parsed[field.name] for field in dataclasses.fields(kind)})
+    except (ArgumentError, TypeError, ValueError) as error:
+        raise ValueError(f"{where}: {one_line(error)}") from None
+
+
+def check_keys(kind: type, values: Any, *, where: str) -> None:
+    """Reject keys that ``kind`` or a record inside it does not have.
+
+    Raises:
+        ValueError: Names the key and the nearest known one.
+    """
+    if not isinstance(values, dict):
+        raise ValueError(f"{where} must be a mapping of names to values, got {values!r}.")
+    fields = typing.get_type_hints(kind)
+    for key, value in values.items():
+        if key not in fields:
+            raise ValueError(f"{where}: {kind.__name__} has no field {key!r}. {nearest(key, fields)}")
+        inner = record_type(fields[key])
+        if inner is not None and value is not None:
+            check_keys(inner, value, where=f"{where}[{key}]")
+
+
+def record_type(annotation: Any) -> type | None:
+    """The dataclass an annotation names, alone or in ``X | None``."""
+    for option in (annotation, *typing.get_args(annotation)):
+        if dataclasses.is_dataclass(option):
+            return option
+    return None
+
+
+def one_line(error: BaseException) -> str:
+    """The text of an error on one line."""
+    return " ".join(str(error).split()) or type(error).__name__

@@ -1,0 +1,276 @@
+"""The trained surrogate as one object: everything a rollout needs, and how it is stored.
+
+A stored simulator is a directory with ``config.json`` and ``model.safetensors``. Nothing in it is
+executable: safetensors holds tensors, JSON holds values, and every key is checked.
+"""
+
+import dataclasses
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any, Self
+
+import torch
+from jaxtyping import Float, Int
+from safetensors import SafetensorError
+from safetensors.torch import load_file, save_file
+from torch import Tensor, nn
+
+from giorom.features import FeatureConfig
+from giorom.graph import GraphConfig
+from giorom.mpm.scenes import SceneConfig
+from giorom.mpm.simulate import SolverConfig
+from giorom.neural_field import FieldDecoder, NeuralField, NeuralFieldConfig
+from giorom.normalization import Normalization
+from giorom.pipeline import (
+    Connect,
+    Dynamics,
+    connect_within,
+    full_order_rollout,
+    start_from_velocity,
+)
+from giorom.records import nearest, one_line, parse_record
+from giorom.sampling import SamplingConfig, sample
+from giorom.state import SparseState, Trajectory
+from giorom.time_stepper import TimeStepper, TimeStepperConfig
+
+PRETRAINED = Path(__file__).parent / "pretrained"
+"""Models that are part of the package."""
+
+FORMAT_VERSION = 1
+"""Version of the stored form."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimulatorConfig:
+    """Everything about a trained simulator except its weights."""
+
+    system: str
+    """Physical system it was trained on."""
+
+    dimension: int
+    """Space dimension."""
+
+    frame_dt: float
+    """Time between frames [s]."""
+
+    bounds: list[list[float]]
+    """Lower and upper wall on each axis [m]."""
+
+    sampling: SamplingConfig
+    """Stage 2."""
+
+    graph: GraphConfig
+    """Stage 3; the radius is set."""
+
+    features: FeatureConfig
+    """Stage 3b."""
+
+    normalization: Normalization
+    """Scales of the training data."""
+
+    time_stepper: TimeStepperConfig
+    """Stage 4."""
+
+    field: NeuralFieldConfig
+    """Stage 6."""
+
+    scene: SceneConfig
+    """Scenes it was trained on; what a demonstration draws from."""
+
+    solver: SolverConfig
+    """Simulator that made its training data: the referee."""
+
+
+class Simulator(nn.Module):
+    """Time-stepper and neural field with all they need to run.
+
+    Args:
+        config: Everything but the weights.
+    """
+
+    def __init__(self, config: SimulatorConfig) -> None:
+        super().__init__()
+        if config.graph.radius is None:
+            raise ValueError("SimulatorConfig.graph.radius must be set; choose_radius finds one.")
+        self.config = config
+        self.dynamics = Dynamics(
+            TimeStepper(config.time_stepper),
+            features=config.features,
+            normalization=config.normalization,
+            radius=config.graph.radius,
+        )
+        self.field = NeuralField(config.field, dimension=config.dimension)
+
+    @property
+    def connect(self) -> Connect:
+        """Stage 3 with this simulator's radius."""
+        graph = self.config.graph
+        return connect_within(graph.radius, configuration=graph.configuration)
+
+    def sample(
+        self, position: Float[Tensor, "p d"], *, count: int | None = None
+    ) -> Int[Tensor, " q"]:
+        """Stage 2: which particles are simulated; ``count`` overrides the trained reduction."""
+        config = self.config.sampling
+        if count is not None:
+            config = dataclasses.replace(config, reduction=None, count=count)
+        return sample(position, config)
+
+    def start(
+        self,
+        position: Float[Tensor, "p d"],
+        velocity: Float[Tensor, "p d"],
+        particle_type: Int[Tensor, " p"],
+        *,
+        samples: Int[Tensor, " q"],
+    ) -> SparseState:
+        """The sparse state of a body at rest shape with a given velocity."""
+        self._check_dimension(position)
+        return start_from_velocity(
+            position[samples],
+            velocity[samples],
+            particle_type=particle_type[samples],
+            bounds=position.new_tensor(self.config.bounds),
+            frame_dt=self.config.frame_dt,
+            history=self.config.features.history,
+        )
+
+    def decoder(
+        self, position: Float[Tensor, "p d"], held: Tensor, *, samples: Int[Tensor, " q"]
+    ) -> FieldDecoder:
+        """Stage 6 bound to a body and its samples; ``held`` points never move."""
+        return FieldDecoder(self.field, position[samples], position, held=held)
+
+    def frames(
+        self,
+        position: Float[Tensor, "p d"],
+        velocity: Float[Tensor, "p d"],
+        particle_type: Int[Tensor, " p"],
+        *,
+        frames: int,
+        samples: Int[Tensor, " q"],
+    ) -> Iterator[Float[Tensor, "p d"]]:
+        """Positions of all particles, frame after frame [m] (Algorithm 1)."""
+        state = self.start(position, velocity, particle_type, samples=samples)
+        yield from full_order_rollout(
+            state,
+            frames,
+            connect=self.connect,
+            acceleration=self.dynamics,
+            decode=self.decoder(position, particle_type == 3, samples=samples),
+        )
+
+    def rollout(
+        self,
+        position: Float[Tensor, "p d"],
+        velocity: Float[Tensor, "p d"],
+        particle_type: Int[Tensor, " p"],
+        *,
+        frames: int,
+        sparse_points: int | None = None,
+    ) -> Trajectory:
+        """Simulate a body: sample it, step the samples, recover every particle.
+
+        Args:
+            position: Undeformed positions of all particles [m].
+            velocity: Initial velocities [m/s].
+            particle_type: GNS types; kinematic particles stay where they are.
+            frames: Number of frames to add.
+            sparse_points: Number of samples; by default the trained reduction.
+
+        Returns:
+            ``frames + 1`` frames, the first of which is ``position``.
+        """
+        samples = self.sample(position, count=sparse_points)
+        motion = self.frames(position, velocity, particle_type, frames=frames, samples=samples)
+        return Trajectory(
+            position=torch.stack([position, *motion]),
+            particle_type=particle_type,
+            frame_dt=self.config.frame_dt,
+            bounds=position.new_tensor(self.config.bounds),
+            attributes={"system": self.config.system, "sparse_points": len(samples)},
+        )
+
+    def save_pretrained(self, directory: Path | str) -> None:
+        """Write ``config.json`` and ``model.safetensors`` into an existing directory."""
+        directory = Path(directory)
+        record = {"format_version": FORMAT_VERSION, "giorom": package_version()}
+        record |= dataclasses.asdict(self.config)
+        tensors = {name: value.detach().cpu() for name, value in self.state_dict().items()}
+        save_file(tensors, directory / "model.safetensors")
+        (directory / "config.json").write_text(json.dumps(record, indent=1) + "\n")
+
+    @classmethod
+    def from_pretrained(cls, name: Path | str) -> Self:
+        """Load a simulator from a directory, or a model of the package by its name.
+
+        Raises:
+            ValueError: If there is no such model, or its files are damaged or foreign.
+        """
+        directory = pretrained_directory(name)
+        config = _read_config(directory / "config.json")
+        simulator = cls(config)
+        try:
+            tensors = load_file(directory / "model.safetensors")
+            simulator.load_state_dict(tensors)
+        except (OSError, SafetensorError, RuntimeError) as error:
+            raise ValueError(
+                f"{directory / 'model.safetensors'} does not hold the weights that config.json "
+                f"describes ({one_line(error)[:200]}). Train again or copy the directory whole."
+            ) from None
+        return simulator.eval().requires_grad_(False)
+
+    def _check_dimension(self, position: Tensor) -> None:
+        if position.shape[1] != self.config.dimension:
+            raise ValueError(
+                f"the body is {position.shape[1]}-dimensional, but this simulator "
+                f"({self.config.system}) was trained in {self.config.dimension} dimensions. Use a "
+                f"model of that dimension."
+            )
+
+
+def pretrained_directory(name: Path | str) -> Path:
+    """Directory of a stored simulator: a path, a training run, or a model of the package.
+
+    Raises:
+        ValueError: If there is none.
+    """
+    for candidate in (Path(name), Path(name) / "simulator", PRETRAINED / str(name)):
+        if (candidate / "config.json").is_file():
+            return candidate
+    known = pretrained_names()
+    raise ValueError(
+        f"there is no simulator {str(name)!r}: neither a directory with config.json nor a "
+        f"pretrained model. {nearest(str(name), known)}"
+    )
+
+
+def pretrained_names() -> list[str]:
+    """Names of the models that are part of the package."""
+    return sorted(path.parent.name for path in PRETRAINED.glob("*/config.json"))
+
+
+def package_version() -> str:
+    """Version of giorom that is installed."""
+    try:
+        return version("giorom")
+    except PackageNotFoundError:
+        return "unknown"
+
+
+def _read_config(path: Path) -> SimulatorConfig:
+    try:
+        record: dict[str, Any] = json.loads(path.read_text())
+    except (OSError, ValueError) as error:
+        raise ValueError(f"{path} is not readable JSON ({error}). Copy the model again.") from None
+    found = record.pop("format_version", None)
+    if not isinstance(found, int) or not 1 <= found <= FORMAT_VERSION:
+        raise ValueError(
+            f"{path} has format version {found!r}, this program reads 1 to {FORMAT_VERSION}. "
+            f"Install a newer giorom."
+        )
+    record.pop("giorom", None)
+    return parse_record(SimulatorConfig, record, where=str(path))

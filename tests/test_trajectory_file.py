@@ -1,0 +1,333 @@
+"""A trajectory file is whole or refused, and other people's loaders can open it."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from giorom.data.statistics import Statistics
+from giorom.data.trajectory_file import (
+    DataError,
+    iterate_trajectories,
+    read_metadata,
+    read_trajectory,
+    read_trajectory_file,
+    trajectory_count,
+    write_trajectory_file,
+)
+from giorom.data.work_folder import (
+    assemble_dataset,
+    finished_parts,
+    open_work_folder,
+    split_parts,
+    write_part,
+)
+from giorom.state import KINEMATIC, SAND, Trajectory
+
+h5py = pytest.importorskip("h5py")
+
+IDENTITY = {"preset": "sand2d", "seed": 3, "material": "sand", "parameters": {"density": 1.0e3}}
+
+
+def make_trajectory(seed: int = 0, *, frames: int = 12, particles: int = 30, dim: int = 2):
+    generator = torch.Generator().manual_seed(seed)
+    position = 0.2 + 0.6 * torch.rand(frames, particles, dim, generator=generator)
+    particle_type = torch.full((particles,), SAND)
+    particle_type[:3] = KINEMATIC
+    return Trajectory(
+        position=position,
+        particle_type=particle_type,
+        frame_dt=2.5e-3,
+        bounds=torch.tensor([[0.1, 0.9]] * dim),
+        attributes={"material": "sand", "seed": seed, "shape": {"kind": "box", "size": [0.1, 0.2]}},
+    )
+
+
+def make_dataset(folder: Path, count: int = 6, **options) -> Path:
+    open_work_folder(folder, identity=IDENTITY)
+    for index in range(count):
+        write_part(folder, index, make_trajectory(index, **options))
+    assemble_dataset(folder, radius=0.015)
+    return folder
+
+
+def assert_same(left: Trajectory, right: Trajectory) -> None:
+    assert torch.equal(left.position, right.position)
+    assert torch.equal(left.particle_type, right.particle_type)
+    assert torch.equal(left.bounds, right.bounds)
+    assert left.frame_dt == right.frame_dt
+    assert left.attributes == right.attributes
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_trajectory_comes_back_as_it_was_written(tmp_path, dim):
+    """Reading is the inverse of writing, exactly, for float32 positions."""
+    trajectory = make_trajectory(dim=dim)
+    write_trajectory_file(trajectory, tmp_path / "one.h5")
+    assert_same(read_trajectory_file(tmp_path / "one.h5"), trajectory)
+
+
+def test_a_data_set_comes_back_trajectory_by_trajectory(tmp_path):
+    """The parts and the assembled splits hold the same motions, each once."""
+    folder = make_dataset(tmp_path / "set")
+    found = [
+        trajectory
+        for split in ("train", "valid", "test")
+        for trajectory in iterate_trajectories(folder, split)
+    ]
+    assert sorted(t.attributes["seed"] for t in found) == [0, 1, 2, 3, 4, 5]
+    for trajectory in found:
+        assert_same(trajectory, make_trajectory(trajectory.attributes["seed"]))
+
+
+def test_frames_can_be_read_alone(tmp_path):
+    """A slice of a trajectory is that slice of the whole."""
+    folder = make_dataset(tmp_path / "set")
+    part = read_trajectory(folder, "train", 1, frames=slice(4, 9))
+    assert torch.equal(part.position, read_trajectory(folder, "train", 1).position[4:9])
+
+
+def test_the_layout_is_lagrangebenchs(tmp_path):
+    """Keys, shapes and types LagrangeBench's H5Dataset and GNS's loaders read."""
+    folder = make_dataset(tmp_path / "set", dim=3)
+    for split in ("train", "valid", "test"):
+        with h5py.File(folder / f"{split}.h5") as file:
+            assert list(file) == [f"{i:05d}" for i in range(len(file))]
+            position, particle_type = file["00000/position"], file["00000/particle_type"]
+            assert (position.dtype, position.shape) == (np.float32, (12, 30, 3))
+            assert (position.compression, position.shuffle) == ("gzip", True)
+            assert (particle_type.dtype, particle_type.shape) == (np.int32, (30,))
+    metadata = json.loads((folder / "metadata.json").read_text())
+    assert metadata["bounds"] == [[0.1, 0.9]] * 3
+    assert (metadata["dim"], metadata["dt"]) == (3, 2.5e-3)
+    assert metadata["sequence_length"] == 11  # GNS: frames minus one
+    assert metadata["sequence_length_train"] == metadata["sequence_length_test"] == 12
+    assert metadata["default_connectivity_radius"] == 0.015
+    assert metadata["num_particles_max"] == 30
+    assert metadata["periodic_boundary_conditions"] == [False] * 3
+    counts = [metadata[f"num_trajs_{split}"] for split in ("train", "valid", "test")]
+    assert counts == [trajectory_count(folder, s) for s in ("train", "valid", "test")]
+    assert all(len(metadata[key]) == 3 for key in ("vel_mean", "vel_std", "acc_mean", "acc_std"))
+    assert metadata["parameters"] == {"density": 1.0e3}
+
+
+def test_the_statistics_come_from_the_training_split_alone(tmp_path):
+    """Population deviation of the free particles of the training split, by NumPy."""
+    folder = make_dataset(tmp_path / "set")
+    steps = [
+        np.diff(t.position[:, 3:].double().numpy(), axis=0).reshape(-1, 2)
+        for t in iterate_trajectories(folder, "train")
+    ]
+    found = Statistics.from_metadata(read_metadata(folder))
+    np.testing.assert_allclose(found.velocity_std, np.concatenate(steps).std(axis=0), rtol=1e-12)
+
+
+@pytest.mark.parametrize("count", [3, 4, 7, 20, 101])
+def test_no_trajectory_is_in_two_splits(count):
+    """The splits are a partition; from three on none is empty; shares hold to one."""
+    split = split_parts(range(count))
+    assert sorted(part for parts in split.values() for part in parts) == list(range(count))
+    assert all(split.values())
+    for name, share in (("train", 0.8), ("valid", 0.1), ("test", 0.1)):
+        assert abs(len(split[name]) - share * count) <= 1.0
+
+
+def test_a_trajectory_keeps_its_split_when_more_are_made():
+    """A model trained before the data grew has not seen the larger test split."""
+    before, after = split_parts(range(40)), split_parts(range(100))
+    assert all(set(before[name]) <= set(after[name]) for name in before)
+
+
+def test_two_trajectories_are_both_for_training():
+    assert split_parts([0, 1]) == {"train": [0, 1], "valid": [], "test": []}
+
+
+def test_an_empty_split_is_empty_and_not_an_error(tmp_path):
+    folder = make_dataset(tmp_path / "set", count=2)
+    assert [trajectory_count(folder, s) for s in ("train", "valid", "test")] == [2, 0, 0]
+    with pytest.raises(DataError, match="has no trajectory 0; it holds 0"):
+        read_trajectory(folder, "test", 0)
+
+
+def test_generation_continues_where_it_stopped(tmp_path, monkeypatch):
+    """A part whose writing was interrupted is not among the finished ones and leaves nothing."""
+    open_work_folder(tmp_path, identity=IDENTITY)
+    write_part(tmp_path, 0, make_trajectory(0))
+    with monkeypatch.context() as patch:
+        patch.setattr(h5py.Group, "create_dataset", _interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            write_part(tmp_path, 1, make_trajectory(1))
+    assert finished_parts(tmp_path) == [0]
+    assert [path.name for path in (tmp_path / "parts").iterdir()] == ["00000.h5"]
+    open_work_folder(tmp_path, identity=IDENTITY)
+    write_part(tmp_path, 1, make_trajectory(1))
+    assert finished_parts(tmp_path) == [0, 1]
+
+
+def _interrupt(*_args, **_kwargs):
+    raise KeyboardInterrupt
+
+
+def test_a_file_being_written_is_no_part(tmp_path):
+    """What a killed process left under its temporary name is passed over."""
+    open_work_folder(tmp_path, identity=IDENTITY)
+    write_part(tmp_path, 0, make_trajectory(0))
+    (tmp_path / "parts" / ".00001.77.tmp.h5").write_bytes(b"\x89HDF")
+    assert finished_parts(tmp_path) == [0]
+
+
+def test_an_interrupted_assembly_leaves_an_unfinished_data_set(tmp_path, monkeypatch):
+    folder = make_dataset(tmp_path / "set")
+    with monkeypatch.context() as patch:
+        patch.setattr("giorom.data.work_folder.measure_statistics", _interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            assemble_dataset(folder, radius=0.015)
+    with pytest.raises(DataError, match="no finished data set"):
+        read_trajectory(folder, "train", 0)
+    assemble_dataset(folder, radius=0.015, keep_parts=False)
+    assert trajectory_count(folder, "train") == 4
+    assert not (folder / "parts").exists()
+
+
+def test_a_file_without_its_last_mark_is_refused(tmp_path):
+    write_trajectory_file(make_trajectory(), tmp_path / "one.h5")
+    with h5py.File(tmp_path / "one.h5", "r+") as file:
+        del file.attrs["complete"]
+    with pytest.raises(DataError, match="not written to its end"):
+        read_trajectory_file(tmp_path / "one.h5")
+
+
+@pytest.mark.parametrize("change", [{"seed": 4}, {"preset": "water2d"}])
+def test_another_data_set_is_not_written_over(tmp_path, change):
+    open_work_folder(tmp_path, identity=IDENTITY)
+    with pytest.raises(DataError, match=f"holds another data set: its {next(iter(change))}"):
+        open_work_folder(tmp_path, identity={**IDENTITY, **change})
+
+
+def test_a_data_set_of_unknown_origin_is_not_written_over(tmp_path):
+    (tmp_path / "train.h5").write_bytes(b"precious")
+    with pytest.raises(DataError, match=r"train\.h5 of another origin"):
+        open_work_folder(tmp_path, identity=IDENTITY)
+
+
+def test_a_trajectory_may_not_be_in_two_given_splits(tmp_path):
+    folder = make_dataset(tmp_path / "set")
+    with pytest.raises(DataError, match="trajectory 1 is used twice"):
+        assemble_dataset(folder, radius=0.015, splits={"train": [0, 1], "test": [1]})
+
+
+def test_trajectories_of_different_scenes_do_not_mix(tmp_path):
+    open_work_folder(tmp_path, identity=IDENTITY)
+    write_part(tmp_path, 0, make_trajectory(0))
+    write_part(tmp_path, 1, make_trajectory(1, dim=3))
+    with pytest.raises(DataError, match=r"00001\.h5 has bounds="):
+        assemble_dataset(tmp_path, radius=0.015)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.99])
+def test_a_truncated_file_is_refused(tmp_path, share):
+    path = tmp_path / "one.h5"
+    write_trajectory_file(make_trajectory(frames=50, particles=500), path)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: int(share * len(whole))])
+    with pytest.raises(DataError, match=r"one\.h5 is truncated") as caught:
+        read_trajectory_file(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_damaged_compressed_data_are_refused(tmp_path):
+    """The size is right but a block does not decompress."""
+    path = tmp_path / "one.h5"
+    write_trajectory_file(make_trajectory(frames=50, particles=500), path)
+    with h5py.File(path) as file:
+        chunk = file["00000/position"].id.get_chunk_info(0)
+    content = bytearray(path.read_bytes())
+    content[chunk.byte_offset : chunk.byte_offset + 64] = bytes(64)
+    path.write_bytes(content)
+    with pytest.raises(DataError, match="damaged"):
+        read_trajectory_file(path)
+
+
+def test_foreign_files_are_refused(tmp_path):
+    text, other = tmp_path / "text.h5", tmp_path / "other.h5"
+    text.write_text("not HDF5")
+    with h5py.File(other, "w") as file:
+        file["results/pressure"] = np.zeros(3)
+    with pytest.raises(DataError, match="no HDF5 file"):
+        read_trajectory_file(text)
+    with pytest.raises(DataError, match="its entries are results"):
+        read_trajectory_file(other)
+    with pytest.raises(DataError, match="does not exist"):
+        read_trajectory_file(tmp_path / "absent.h5")
+
+
+def _replace(file, key, value):
+    del file[key]
+    if value is not None:
+        file[key] = value
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        ("00000/position", None, "has no 'position'"),
+        ("00000/position", np.zeros((12, 30, 2)), "is float64 of shape"),
+        ("00000/position", np.zeros((12, 60), np.float32), r"shape \(12, 60\)"),
+        ("00000/position", np.zeros((0, 30, 2), np.float32), "is empty"),
+        ("00000/position", np.full((12, 30, 2), np.nan, np.float32), "not finite"),
+        ("00000/particle_type", np.zeros(29, np.int32), "one integer for each of the 30"),
+        ("00000/particle_type", np.zeros(30), "is float64"),
+    ],
+)
+def test_wrong_contents_are_refused(tmp_path, key, value, message):
+    path = tmp_path / "one.h5"
+    write_trajectory_file(make_trajectory(), path)
+    with h5py.File(path, "r+") as file:
+        _replace(file, key, value)
+    with pytest.raises(DataError, match=message):
+        read_trajectory_file(path)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("{", "not readable JSON"),
+        ("[]", "must hold a JSON object"),
+        ('{"dim": 2}', "lacks bounds, sequence_length"),
+    ],
+)
+def test_wrong_metadata_are_refused(tmp_path, content, message):
+    folder = make_dataset(tmp_path / "set")
+    (folder / "metadata.json").write_text(content)
+    with pytest.raises(DataError, match=message):
+        read_trajectory(folder, "train", 0)
+
+
+def test_metadata_of_another_dimension_are_refused(tmp_path):
+    flat, solid = make_dataset(tmp_path / "2d"), make_dataset(tmp_path / "3d", dim=3)
+    (flat / "metadata.json").write_bytes((solid / "metadata.json").read_bytes())
+    with pytest.raises(DataError, match=r"is 2-dimensional, but metadata\.json .* dim=3"):
+        read_trajectory(flat, "train", 0)
+
+
+def test_a_lagrangebench_set_without_our_attributes_is_read(tmp_path):
+    """Its frame time is dt times write_every, its walls stand in the metadata."""
+    with h5py.File(tmp_path / "train.h5", "w") as file:
+        file["00000/position"] = np.zeros((5, 4, 2), np.float32)
+        file["00000/particle_type"] = np.zeros(4, np.int64)
+    metadata = {"bounds": [[0, 1], [0, 2]], "dim": 2, "dt": 4e-4, "write_every": 100}
+    metadata |= {"sequence_length": 4, "default_connectivity_radius": 0.03}
+    (tmp_path / "metadata.json").write_text(json.dumps(metadata))
+    trajectory = read_trajectory(tmp_path, "train", 0)
+    assert trajectory.frame_dt == pytest.approx(0.04)
+    assert trajectory.bounds.tolist() == [[0.0, 1.0], [0.0, 2.0]]
+
+
+def test_attributes_that_are_no_json_are_refused_before_anything_is_written(tmp_path):
+    trajectory = make_trajectory()
+    trajectory.attributes["model"] = object()
+    with pytest.raises(DataError, match="must hold JSON values"):
+        write_trajectory_file(trajectory, tmp_path / "one.h5")
+    assert list(tmp_path.iterdir()) == []
