@@ -131,24 +131,27 @@ class TimeStepperConfig:
 
     @classmethod
     def paper(
-        cls, dimension: int = 3, *, node_skip: bool = True, **overrides: Any
+        cls, dimension: int = 3, *, node_skip: bool | str = True, **overrides: Any
     ) -> "TimeStepperConfig":
         """The model of the published checkpoints, 2,387,669 parameters in three dimensions.
 
         Args:
             dimension: Space dimension.
-            node_skip: With the linear skip of the official code; 2,321,621 parameters without.
+            node_skip: With the linear skip of the official code (2,321,621 parameters without),
+                or the value of the field.
             **overrides: Fields to change.
 
         Returns:
             The configuration.
         """
         three = dimension == 3
+        if isinstance(node_skip, bool):
+            node_skip = "linear" if node_skip else "none"
         values: dict[str, Any] = {
             "dimension": dimension,
             "node_width": 7 * dimension,
             "edge_width": dimension + 1,
-            "node_skip": "linear" if node_skip else "none",
+            "node_skip": node_skip,
             "latent_bounds": [[0.0, 1.0]] * 3 if three else [[-1.0, 1.0]] * 2,
             "latent_side": 16 if three else 32,
             "latent_radius": 0.065 if three else 0.024,

@@ -38,7 +38,10 @@ def make(**options: object) -> TimeStepper:
     return TimeStepper(TimeStepperConfig.default(**values)).double()
 
 
-@pytest.mark.parametrize(("node_skip", "expected"), [(True, 2_387_669), (False, 2_321_621)])
+@pytest.mark.parametrize(
+    ("node_skip", "expected"),
+    [(True, 2_387_669), ("linear", 2_387_669), (False, 2_321_621), ("none", 2_321_621)],
+)
 def test_the_paper_preset_has_the_published_number_of_parameters(node_skip, expected):
     """2.39 M on the model cards; the sum over all layers is in the method notes, 3.2."""
     model = TimeStepper(TimeStepperConfig.paper(node_skip=node_skip))
