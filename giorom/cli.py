@@ -34,8 +34,10 @@ def main(arguments: list[str] | None = None) -> int:
     if arguments[0] not in COMMANDS:
         from giorom.records import nearest
 
-        print(f"giorom: there is no command {arguments[0]!r}. {nearest(arguments[0], COMMANDS)}",
-              file=sys.stderr)
+        print(
+            f"giorom: there is no command {arguments[0]!r}. {nearest(arguments[0], COMMANDS)}",
+            file=sys.stderr,
+        )
         return 2
     return _run(arguments[0], arguments[1:])
 
@@ -60,7 +62,9 @@ def _run(name: str, arguments: list[str]) -> int:
         return execute(name, command, arguments, description=COMMANDS[name])
     except ModuleNotFoundError as error:
         missing = (error.name or "").split(".")[0]
-        extra = {"warp": "sim", "trimesh": "sim", "pyvista": "render", "imageio": "render"}.get(missing)
+        extra = {"warp": "sim", "trimesh": "sim", "pyvista": "render", "imageio": "render"}.get(
+            missing
+        )
         if extra is None:
             raise
         return _refuse(
@@ -69,7 +73,9 @@ def _run(name: str, arguments: list[str]) -> int:
     except ValueError as error:
         return _refuse(name, str(error), 2)
     except KeyboardInterrupt:
-        return _refuse(name, "interrupted; run the same command again (training: with --resume).", 130)
+        return _refuse(
+            name, "interrupted; run the same command again (training: with --resume).", 130
+        )
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0

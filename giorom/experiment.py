@@ -90,9 +90,7 @@ def load_training_data(experiment: Experiment, folder: Path) -> TrainingData:
     )
 
 
-def choose_common_radius(
-    trajectories: list[Trajectory], experiment: Experiment
-) -> RadiusChoice:
+def choose_common_radius(trajectories: list[Trajectory], experiment: Experiment) -> RadiusChoice:
     """The largest of the radii that some training bodies ask for, or the configured one."""
     config = experiment.graph
     choices = []
@@ -347,5 +345,3 @@ def _check_match(experiment: Experiment, metadata: dict[str, Any], folder: Path)
                 f"{folder} has {key}={metadata[key]}, the experiment {experiment.system} expects "
                 f"{value}. Use the preset the data were made with."
             )
-
-

@@ -99,7 +99,9 @@ def generate(
     if not parts:
         raise SimulationError(f"no trajectory could be simulated; the first: {failed[0]['reason']}")
     seconds = time.perf_counter() - start
-    metadata = assemble_dataset(folder, radius=_default_radius(experiment), splits=split_parts(parts))
+    metadata = assemble_dataset(
+        folder, radius=_default_radius(experiment), splits=split_parts(parts)
+    )
     first = next(iterate_trajectories(folder, "train"))
     return {
         "trajectories": len(parts),
@@ -110,7 +112,9 @@ def generate(
         "seconds": seconds,
         "failed": len(failed),
         "failures": failed,
-        "splits": {name: read_metadata(folder)[f"num_trajs_{name}"] for name in ("train", "valid", "test")},
+        "splits": {
+            name: read_metadata(folder)[f"num_trajs_{name}"] for name in ("train", "valid", "test")
+        },
     }
 
 

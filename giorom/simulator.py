@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import torch
 from jaxtyping import Float, Int
@@ -204,7 +204,7 @@ class Simulator(nn.Module):
         (directory / "config.json").write_text(json.dumps(record, indent=1) + "\n")
 
     @classmethod
-    def from_pretrained(cls, name: Path | str) -> Self:
+    def from_pretrained(cls, name: Path | str) -> "Simulator":
         """Load a simulator from a directory, or a model of the package by its name.
 
         Raises:

@@ -98,9 +98,7 @@ def evaluate_trajectory(
     frames = available if frames is None else min(frames, available)
     samples = simulator.sample(trajectory.position[0])
     state = start_from_trajectory(trajectory, samples, history=history)
-    sparse = roll_out(
-        state, frames, connect=simulator.connect, acceleration=simulator.dynamics
-    )
+    sparse = roll_out(state, frames, connect=simulator.connect, acceleration=simulator.dynamics)
     window = slice(history, history + frames)
     truth = trajectory.position[window]
     gravity = _gravity(trajectory)

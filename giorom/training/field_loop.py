@@ -125,9 +125,9 @@ def _draw(
     if turn and position.shape[2] == 3:
         angle = 2.0 * math.pi * torch.rand((), generator=generator)
         cosine, sine, zero, one = angle.cos(), angle.sin(), torch.tensor(0.0), torch.tensor(1.0)
-        matrix = torch.stack(
-            [cosine, zero, sine, zero, one, zero, -sine, zero, cosine]
-        ).reshape(3, 3)
+        matrix = torch.stack([cosine, zero, sine, zero, one, zero, -sine, zero, cosine]).reshape(
+            3, 3
+        )
         center = trajectories[which].bounds.mean(dim=1)
         reference = (reference - center) @ matrix.T + center
         moved = (moved - center) @ matrix.T + center

@@ -300,7 +300,9 @@ def train_stepper(
         run.seconds = time.perf_counter() - clock
         progress = budget.progress(run.step, run.seconds)
         if run.step > 0 and progress >= min(1.0, run.next_validation):
-            run.next_validation = (math.floor(progress * config.validations) + 1) / config.validations
+            run.next_validation = (
+                math.floor(progress * config.validations) + 1
+            ) / config.validations
             _validate(training, validate=validate, keep=keep, loss=loss_mean)
             training.save()
         if progress >= 1.0:
