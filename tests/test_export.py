@@ -35,11 +35,11 @@ def make_trajectory(*, frames: int = 4, dim: int = 3, shift: float = 0.0, kinema
 
 
 def read_film(path) -> np.ndarray:
-    """Every frame of a film, shape (frames, height, width, 3)."""
-    imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg")
-    reader = imageio_ffmpeg.read_frames(str(path))
-    width, height = next(reader)["size"]
-    return np.stack([np.frombuffer(f, np.uint8).reshape(height, width, 3) for f in reader])
+    """Every frame of a film of two panels, 1280 x 648 pixels, shape (frames, 648, 1280, 3)."""
+    ffmpeg = pytest.importorskip("imageio_ffmpeg").get_ffmpeg_exe()
+    command = [ffmpeg, "-v", "error", "-i", str(path), "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
+    pixels = subprocess.run(command, capture_output=True, check=True).stdout  # noqa: S603
+    return np.frombuffer(pixels, np.uint8).reshape(-1, 648, 1280, 3)
 
 
 def inked(image: np.ndarray) -> float:
@@ -126,7 +126,7 @@ def test_a_film_has_a_frame_for_each_and_shows_both_motions(tmp_path, dim):
     trajectory, truth = make_trajectory(dim=dim, frames=5), make_trajectory(dim=dim, frames=5)
     film = read_film(write_trajectory(trajectory, tmp_path / "film.mp4", truth=truth))
     frames, height, width, _ = film.shape
-    assert (frames, height % 2, width % 2) == (5, 0, 0)
+    assert frames == 5
     panels = film[:, : height - 100]
     for image in panels:
         halves = image[:, : width // 2], image[:, width // 2 :]

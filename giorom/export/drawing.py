@@ -27,8 +27,8 @@ KINEMATIC_COLOR, INK, LINE, FLOOR, SHADOW = "#8c8c8c", "#202020", "#a8a8a8", "#f
 STRIP_HEIGHT = 88
 """Height of the strip with the colour scale under the panels."""
 
-SHADOW_LIFT = 1e-3
-"""Height of the shadow over the floor, as a share of the picture's."""
+FLOOR_LIFT = 1e-3
+"""How far edge and shadow lie above the floor, as a share of the picture's height."""
 
 MATERIAL = {"ambient": 0.38, "diffuse": 0.68, "specular": 0.12, "specular_power": 20.0}
 
@@ -190,6 +190,7 @@ class Canvas:
 
         if self.scene.floor is not None:
             corners = np.array(self.scene.floor, dtype=np.float32)
+            corners[:, 1] += FLOOR_LIFT * self.scene.half_height
             outline = pyvista.lines_from_points(np.concatenate([corners, corners[:1]]))
             style = {"color": LINE, "line_width": self.sharpness, "lighting": False}
             self.plotter.add_mesh(outline, reset_camera=False, **style)
@@ -204,7 +205,7 @@ class Canvas:
         floor = pyvista.PolyData(corners, faces=[4, 0, 1, 2, 3])
         self.plotter.add_mesh(floor, color=FLOOR, lighting=False, reset_camera=False)
         points = in_space(motion.position[0])
-        points[:, 1] = corners[0, 1] + SHADOW_LIFT * self.scene.half_height
+        points[:, 1] = corners[0, 1] + FLOOR_LIFT * self.scene.half_height
         shadow = pyvista.PolyData(points)
         style = {"style": "points", "point_size": pixels, "lighting": False}
         self.plotter.add_mesh(shadow, color=SHADOW, reset_camera=False, **style)

@@ -5,6 +5,7 @@ the colour range (``giorom.export.scene``). Axis 1 points up. A film is H.264 in
 size, which every player opens; a contact sheet shows a few frames in one PNG.
 """
 
+import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -165,5 +166,6 @@ def _motions(
 
 
 def _time(motion: Trajectory, frame: int) -> str:
-    """The time stamp of a frame."""
-    return f"t = {frame * motion.frame_dt:.3f} s"
+    """The time stamp of a frame, with the decimals that tell two frames apart."""
+    decimals = max(2, 1 - math.floor(math.log10(motion.frame_dt)))
+    return f"t = {frame * motion.frame_dt:.{decimals}f} s"
