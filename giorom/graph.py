@@ -9,7 +9,7 @@ which a minimum spanning tree answers in closed form.
 
 from dataclasses import dataclass
 from itertools import product
-from typing import Literal, Self
+from typing import Literal
 
 import numpy as np
 import torch
@@ -58,7 +58,7 @@ class Edges:
     offset: Int[Tensor, " q_plus_one"]
     """First edge of each receiver; one more entry than there are particles."""
 
-    def to(self, device: torch.device | str) -> Self:
+    def to(self, device: torch.device | str) -> "Edges":
         """The same edges on ``device``."""
         return type(self)(
             sender=self.sender.to(device),
@@ -98,9 +98,7 @@ class RadiusChoice:
         )
 
 
-def radius_edges(
-    position: Float[Tensor, "q d"], batch: Int[Tensor, " q"], radius: float
-) -> Edges:
+def radius_edges(position: Float[Tensor, "q d"], batch: Int[Tensor, " q"], radius: float) -> Edges:
     """Connect all particles of the same scene that lie within ``radius``.
 
     Args:

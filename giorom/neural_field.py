@@ -85,7 +85,9 @@ class NeuralField(nn.Module):
         value = (reference - self.center) / self.scale
         for layer in self.hidden:
             value = layer(value)
-            value = torch.sin(value) if self.config.activation == "sine" else nn.functional.elu(value)
+            value = (
+                torch.sin(value) if self.config.activation == "sine" else nn.functional.elu(value)
+            )
         return self.output(value).unflatten(1, (self.dimension, self.config.modes))
 
 

@@ -7,7 +7,6 @@ the spread of the training noise is part of it and stays part of it when the mod
 
 import math
 from dataclasses import asdict, dataclass
-from typing import Self
 
 from jaxtyping import Float
 from torch import Tensor
@@ -50,7 +49,7 @@ class Normalization:
         noise_std: float,
         frame_dt: float,
         isotropic: bool,
-    ) -> Self:
+    ) -> "Normalization":
         """Combine the statistics of the training data with the training noise.
 
         Args:
@@ -95,6 +94,6 @@ class Normalization:
         return {name: list(values) for name, values in asdict(self).items()}
 
     @classmethod
-    def from_json(cls, record: dict[str, list[float]]) -> Self:
+    def from_json(cls, record: dict[str, list[float]]) -> "Normalization":
         """Inverse of ``to_json``."""
         return cls(**{name: tuple(values) for name, values in record.items()})

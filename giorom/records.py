@@ -55,7 +55,9 @@ def check_keys(kind: type, values: Any, *, where: str) -> None:
     fields = typing.get_type_hints(kind)
     for key, value in values.items():
         if key not in fields:
-            raise ValueError(f"{where}: {kind.__name__} has no field {key!r}. {nearest(key, fields)}")
+            raise ValueError(
+                f"{where}: {kind.__name__} has no field {key!r}. {nearest(key, fields)}"
+            )
         inner = record_type(fields[key])
         if inner is not None and value is not None:
             check_keys(inner, value, where=f"{where}[{key}]")

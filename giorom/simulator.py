@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import torch
 from jaxtyping import Float, Int
@@ -21,7 +21,7 @@ from torch import Tensor, nn
 from giorom.features import FeatureConfig
 from giorom.graph import GraphConfig
 from giorom.mpm.scenes import SceneConfig
-from giorom.mpm.solver import SolverConfig
+from giorom.mpm.simulate import SolverConfig
 from giorom.neural_field import FieldDecoder, NeuralField, NeuralFieldConfig
 from giorom.normalization import Normalization
 from giorom.pipeline import (
@@ -204,7 +204,7 @@ class Simulator(nn.Module):
         (directory / "config.json").write_text(json.dumps(record, indent=1) + "\n")
 
     @classmethod
-    def from_pretrained(cls, name: Path | str) -> Self:
+    def from_pretrained(cls, name: Path | str) -> "Simulator":
         """Load a simulator from a directory, or a model of the package by its name.
 
         Raises:

@@ -15,7 +15,7 @@ Positions are metres, times are seconds. Records are frozen: a stage returns a n
 """
 
 from dataclasses import dataclass, field, replace
-from typing import Any, Self
+from typing import Any
 
 import torch
 from jaxtyping import Float, Int
@@ -72,13 +72,13 @@ class Trajectory:
         """Boolean mask of the prescribed particles, shape (p)."""
         return self.particle_type == KINEMATIC
 
-    def subset(self, index: Int[Tensor, " q"]) -> Self:
+    def subset(self, index: Int[Tensor, " q"]) -> "Trajectory":
         """The same motion of the particles ``index`` alone."""
         return replace(
             self, position=self.position[:, index], particle_type=self.particle_type[index]
         )
 
-    def to(self, device: torch.device | str) -> Self:
+    def to(self, device: torch.device | str) -> "Trajectory":
         """The same record on ``device``."""
         return replace(
             self,
@@ -128,7 +128,7 @@ class SparseState:
         """Boolean mask of the prescribed particles, shape (q)."""
         return self.particle_type == KINEMATIC
 
-    def to(self, device: torch.device | str) -> Self:
+    def to(self, device: torch.device | str) -> "SparseState":
         """The same record on ``device``."""
         tensors = ("history", "reference", "particle_type", "batch", "bounds")
         return replace(self, **{name: getattr(self, name).to(device) for name in tensors})

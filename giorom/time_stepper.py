@@ -10,7 +10,7 @@ latent grid alone reads it.
 
 import warnings
 from dataclasses import dataclass, field
-from typing import Any, Literal, Self
+from typing import Any, Literal
 
 import torch
 from jaxtyping import Float
@@ -130,23 +130,28 @@ class TimeStepperConfig:
             self._check_latent()
 
     @classmethod
-    def paper(cls, dimension: int = 3, *, node_skip: bool = True, **overrides: Any) -> Self:
+    def paper(
+        cls, dimension: int = 3, *, node_skip: bool | str = True, **overrides: Any
+    ) -> "TimeStepperConfig":
         """The model of the published checkpoints, 2,387,669 parameters in three dimensions.
 
         Args:
             dimension: Space dimension.
-            node_skip: With the linear skip of the official code; 2,321,621 parameters without.
+            node_skip: With the linear skip of the official code (2,321,621 parameters without),
+                or the value of the field.
             **overrides: Fields to change.
 
         Returns:
             The configuration.
         """
         three = dimension == 3
+        if isinstance(node_skip, bool):
+            node_skip = "linear" if node_skip else "none"
         values: dict[str, Any] = {
             "dimension": dimension,
             "node_width": 7 * dimension,
             "edge_width": dimension + 1,
-            "node_skip": "linear" if node_skip else "none",
+            "node_skip": node_skip,
             "latent_bounds": [[0.0, 1.0]] * 3 if three else [[-1.0, 1.0]] * 2,
             "latent_side": 16 if three else 32,
             "latent_radius": 0.065 if three else 0.024,
@@ -159,7 +164,7 @@ class TimeStepperConfig:
     @classmethod
     def default(
         cls, dimension: int = 3, *, latent_bounds: list[list[float]], **overrides: Any
-    ) -> Self:
+    ) -> "TimeStepperConfig":
         """The recommended model: kernels that see offsets, a grid that reaches every particle.
 
         Args:
@@ -303,26 +308,16 @@ class LatentBranch(nn.Module):
         )
         coordinate = self.grid.node_unit(tokens.node, features.position)
         dense = coordinate.expand(features.batch_size, -1, -1)
-        place = self.grid.unit(features.position)
-        of_token = Grouping.by(tokens.slot, dense.shape[0] * dense.shape[1])
-        of_particle = Grouping.by(pairs.particle, len(node))
         inward = PointPairs(
-            query=of_token,
-            source=of_particle,
+            query=Grouping.by(tokens.slot, dense.shape[0] * dense.shape[1]),
+            source=Grouping.by(pairs.particle, len(node)),
             relative=pairs.relative,
             query_position=dense.flatten(0, 1),
-            source_position=place,
-        )
-        outward = PointPairs(
-            query=of_particle,
-            source=of_token,
-            relative=-pairs.relative,
-            query_position=place,
-            source_position=dense.flatten(0, 1),
+            source_position=self.grid.unit(features.position),
         )
         token = self.encode(node, inward).unflatten(0, dense.shape[:2])
         token = self.transformer(token, coordinate, tokens.mask)
-        return self.projection(self.decode(token.flatten(0, 1), outward))
+        return self.projection(self.decode(token.flatten(0, 1), inward.reversed()))
 
     def _warn_if_blind(self) -> None:
         """Say so when the grid cannot reach every particle."""

@@ -126,12 +126,12 @@ def test_the_statistics_come_from_the_training_split_alone(tmp_path):
 
 @pytest.mark.parametrize("count", [3, 4, 7, 20, 101])
 def test_no_trajectory_is_in_two_splits(count):
-    """The splits are a partition; from three on none is empty; shares hold to one."""
+    """The splits are a partition; from three on none is empty; shares hold to 1 (few: 1.5)."""
     split = split_parts(range(count))
     assert sorted(part for parts in split.values() for part in parts) == list(range(count))
     assert all(split.values())
     for name, share in (("train", 0.8), ("valid", 0.1), ("test", 0.1)):
-        assert abs(len(split[name]) - share * count) <= 1.0
+        assert abs(len(split[name]) - share * count) <= (1.0 if count > 4 else 1.5)
 
 
 def test_a_trajectory_keeps_its_split_when_more_are_made():

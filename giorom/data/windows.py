@@ -7,7 +7,6 @@ the samples are kept in memory: positions of a few hundred particles at every fr
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Self
 
 import torch
 from jaxtyping import Float, Int
@@ -42,7 +41,7 @@ class WindowBatch:
     edges: Edges | None
     """Graph of the undeformed bodies, where the graph is fixed."""
 
-    def to(self, device: torch.device | str) -> Self:
+    def to(self, device: torch.device | str) -> "WindowBatch":
         """The same batch on ``device``."""
         edges = None if self.edges is None else self.edges.to(device)
         return replace(
@@ -89,9 +88,7 @@ class Windows(torch.utils.data.Dataset):
         future: Frames after it.
     """
 
-    def __init__(
-        self, trajectories: list[SampledTrajectory], *, history: int, future: int
-    ) -> None:
+    def __init__(self, trajectories: list[SampledTrajectory], *, history: int, future: int) -> None:
         counts = [t.motion.frame_count - history - future + 1 for t in trajectories]
         if not counts or min(counts) < 1:
             shortest = min((t.motion.frame_count for t in trajectories), default=0)
@@ -179,9 +176,7 @@ class StepSampler(torch.utils.data.Sampler[list[int]]):
         step = self.first_step
         while True:
             generator = step_generator(self.seed, step)
-            yield torch.randint(
-                self.window_count, (self.batch_size,), generator=generator
-            ).tolist()
+            yield torch.randint(self.window_count, (self.batch_size,), generator=generator).tolist()
             step += 1
 
 
@@ -190,9 +185,7 @@ def step_generator(seed: int, step: int) -> torch.Generator:
     return torch.Generator().manual_seed((seed << 32) + step)
 
 
-def _window(
-    sampled: SampledTrajectory, start: int, *, history: int, future: int
-) -> WindowBatch:
+def _window(sampled: SampledTrajectory, start: int, *, history: int, future: int) -> WindowBatch:
     motion = sampled.motion
     positions = motion.position[start : start + history + future].transpose(0, 1).contiguous()
     state = SparseState(

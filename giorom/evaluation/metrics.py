@@ -29,9 +29,7 @@ def relative_displacement_error(
     return float((error / motion.clamp_min(1e-300)).sqrt())
 
 
-def amplitude_ratio(
-    predicted: Float[Tensor, "t p d"], truth: Float[Tensor, "t p d"]
-) -> float:
+def amplitude_ratio(predicted: Float[Tensor, "t p d"], truth: Float[Tensor, "t p d"]) -> float:
     """Predicted over true root mean square displacement from the first frame.
 
     One if the body moves as much as it should; below one if the motion has been damped.

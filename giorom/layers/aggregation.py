@@ -9,7 +9,7 @@ repeat exactly.
 """
 
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any
 
 import torch
 from jaxtyping import Float, Int
@@ -33,7 +33,7 @@ class Grouping:
     """First entry of ``order`` of each point; the last value is the number of pairs."""
 
     @classmethod
-    def by(cls, point: Int[Tensor, " m"], count: int) -> Self:
+    def by(cls, point: Int[Tensor, " m"], count: int) -> "Grouping":
         """Group pairs given in any order.
 
         Args:

@@ -39,6 +39,16 @@ class PointPairs:
     source_position: Float[Tensor, "s d"]
     """Position of each source point in the same unit."""
 
+    def reversed(self) -> "PointPairs":
+        """The same pairs with sources as queries."""
+        return PointPairs(
+            query=self.source,
+            source=self.query,
+            relative=-self.relative,
+            query_position=self.source_position,
+            source_position=self.query_position,
+        )
+
 
 class KernelIntegral(nn.Module):
     r"""Integral transform with a learned kernel.

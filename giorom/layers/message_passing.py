@@ -7,7 +7,6 @@ dimensionless; edges run from ``sender`` to ``receiver``.
 """
 
 from dataclasses import dataclass
-from typing import Self
 
 import torch
 from jaxtyping import Float
@@ -41,7 +40,7 @@ class Neighborhood:
         *,
         distance: Float[Tensor, " e"],
         distance_weight: bool,
-    ) -> Self:
+    ) -> "Neighborhood":
         """Prepare a graph.
 
         Args:

@@ -89,7 +89,9 @@ def load_checkpoint(folder: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
     """
     found = sorted(folder.glob(f"{CHECKPOINT_PREFIX}*"))
     if not found:
-        raise CheckpointError(f"{folder} holds no checkpoint to resume from; train without --resume.")
+        raise CheckpointError(
+            f"{folder} holds no checkpoint to resume from; train without --resume."
+        )
     try:
         tensors = load_file(found[-1] / "state.safetensors")
         record = json.loads((found[-1] / "state.json").read_text())

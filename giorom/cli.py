@@ -1,0 +1,94 @@
+"""The command line: ``giorom <command>``.
+
+Only the chosen command is imported, so that help is immediate. Exit codes: 0 done, 2 the input was
+refused, 3 the work failed, 130 interrupted.
+"""
+
+import argparse
+import importlib
+import os
+import sys
+
+COMMANDS = {
+    "demo": "one body through the whole method: film, picture, table against MPM",
+    "simulate": "make training data with the material point method",
+    "train": "train a time-stepper and a neural field",
+    "rollout": "simulate a body with a trained model, to a file",
+    "evaluate": "score a trained model on held-out trajectories",
+    "models": "list the pretrained models",
+}
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run one command and return its exit code."""
+    arguments = sys.argv[1:] if arguments is None else arguments
+    parser = _parser()
+    if not arguments or arguments[0] in ("-h", "--help"):
+        parser.print_help()
+        return 0
+    if arguments[0] == "--version":
+        from giorom import __version__
+
+        print(f"giorom {__version__}")
+        return 0
+    if arguments[0] not in COMMANDS:
+        from giorom.records import nearest
+
+        print(
+            f"giorom: there is no command {arguments[0]!r}. {nearest(arguments[0], COMMANDS)}",
+            file=sys.stderr,
+        )
+        return 2
+    return _run(arguments[0], arguments[1:])
+
+
+def _parser() -> argparse.ArgumentParser:
+    listing = "\n".join(f"  {name:10s} {text}" for name, text in COMMANDS.items())
+    return argparse.ArgumentParser(
+        prog="giorom",
+        usage="giorom <command> [options]",
+        description=f"Learned surrogates of particle physics.\n\ncommands:\n{listing}\n\n"
+        f"giorom <command> --help tells more.",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+
+
+def _run(name: str, arguments: list[str]) -> int:
+    """Import and run one command; turn its failures into one line and an exit code."""
+    try:
+        command = importlib.import_module(f"giorom.commands.{name}")
+        from giorom.commands.shared import execute
+
+        return execute(name, command, arguments, description=COMMANDS[name])
+    except ModuleNotFoundError as error:
+        missing = (error.name or "").split(".")[0]
+        extra = {"warp": "sim", "trimesh": "sim", "pyvista": "render", "imageio": "render"}.get(
+            missing
+        )
+        if extra is None:
+            raise
+        return _refuse(
+            name, f"{missing} is not installed; 'pip install \"giorom[{extra}]\"' adds it.", 2
+        )
+    except ValueError as error:
+        return _refuse(name, str(error), 2)
+    except KeyboardInterrupt:
+        return _refuse(
+            name, "interrupted; run the same command again (training: with --resume).", 130
+        )
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except (OSError, RuntimeError, ArithmeticError, MemoryError) as error:
+        if os.environ.get("GIOROM_TRACEBACK"):
+            raise
+        return _refuse(name, f"{type(error).__name__}: {error}", 3)
+
+
+def _refuse(name: str, text: str, code: int) -> int:
+    print(f"giorom {name}: {' '.join(text.split())}", file=sys.stderr)
+    return code
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,143 @@
+"""An experiment: one YAML file, one frozen record.
+
+A preset is such a file inside the package. Values that follow from others (widths of the
+features, bounds of the latent grid, the graph radius) are not written down but derived.
+"""
+
+from dataclasses import dataclass
+from dataclasses import field as default
+from pathlib import Path
+from typing import Any, Literal
+
+import yaml
+
+from giorom.features import FeatureConfig
+from giorom.graph import GraphConfig
+from giorom.mpm.scenes import SceneConfig
+from giorom.mpm.simulate import SolverConfig
+from giorom.neural_field import NeuralFieldConfig
+from giorom.records import check_keys, nearest, one_line, parse_record
+from giorom.sampling import SamplingConfig
+from giorom.time_stepper import TimeStepperConfig
+from giorom.training.field_loop import FieldTrainingConfig
+from giorom.training.loop import TrainingConfig
+
+PRESETS = Path(__file__).parent / "presets"
+
+DERIVED = ("dimension", "node_width", "edge_width", "latent_bounds")
+"""Fields of ``TimeStepperConfig`` that follow from features and data."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class StepperChoice:
+    """Which time-stepper is trained."""
+
+    preset: Literal["default", "paper"] = "default"
+    """Published model, or the recommended one."""
+
+    overrides: dict[str, Any] = default(default_factory=dict)
+    """Fields of ``TimeStepperConfig`` to change."""
+
+    def __post_init__(self) -> None:
+        """Reject names the time-stepper does not have."""
+        derived = sorted(set(self.overrides) & set(DERIVED))
+        if derived:
+            raise ValueError(
+                f"time_stepper.overrides: {derived[0]} follows from the features and the data and "
+                f"cannot be set. Remove it."
+            )
+        check_keys(TimeStepperConfig, self.overrides, where="time_stepper.overrides")
+
+    def build(
+        self, *, dimension: int, features: FeatureConfig, latent_bounds: list[list[float]]
+    ) -> TimeStepperConfig:
+        """The full configuration of the network.
+
+        Args:
+            dimension: Space dimension.
+            features: Which features it sees.
+            latent_bounds: Padded bounds of the training data [m].
+        """
+        values = self.overrides | {
+            "node_width": features.node_width(dimension),
+            "edge_width": features.edge_width(dimension),
+        }
+        if self.preset == "paper":
+            return TimeStepperConfig.paper(dimension, **values)
+        return TimeStepperConfig.default(dimension, latent_bounds=latent_bounds, **values)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Experiment:
+    """Everything that makes data, a model and its score."""
+
+    system: str
+    """Physical system."""
+
+    scene: SceneConfig
+    """Scenes it is trained on."""
+
+    solver: SolverConfig
+    """Simulation of a scene."""
+
+    sampling: SamplingConfig
+    """Which particles are simulated by the surrogate."""
+
+    graph: GraphConfig = default(default_factory=GraphConfig)
+    """How they are connected."""
+
+    features: FeatureConfig = default(default_factory=FeatureConfig)
+    """What the time-stepper sees."""
+
+    time_stepper: StepperChoice = default(default_factory=StepperChoice)
+    """The network that predicts accelerations."""
+
+    field: NeuralFieldConfig = default(default_factory=NeuralFieldConfig)
+    """The network that recovers all particles."""
+
+    training: TrainingConfig = default(default_factory=TrainingConfig)
+    """How the time-stepper is trained."""
+
+    field_training: FieldTrainingConfig = default(default_factory=FieldTrainingConfig)
+    """How the neural field is trained."""
+
+
+def preset_names() -> list[str]:
+    """Names of the presets of the package."""
+    return sorted(path.stem for path in PRESETS.glob("*.yaml"))
+
+
+def load_experiment(name: str, overrides: dict[str, Any] | None = None) -> Experiment:
+    """Read a preset or a YAML file, with some values changed.
+
+    Args:
+        name: Name of a preset, or path of a YAML file.
+        overrides: Nested values that replace those of the file.
+
+    Raises:
+        ValueError: If there is no such preset or file, or a value is refused; one line.
+    """
+    path = PRESETS / f"{name}.yaml"
+    if not path.is_file():
+        path = Path(name)
+    if not path.is_file():
+        raise ValueError(f"there is no preset {name!r}. {nearest(name, preset_names())}")
+    try:
+        values = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise ValueError(f"{path} is not readable YAML: {one_line(error)}") from None
+    if not isinstance(values, dict):
+        raise ValueError(f"{path} must hold a mapping of names to values, not {values!r}.")
+    return parse_record(Experiment, merged(values, overrides or {}), where=name)
+
+
+def merged(values: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
+    """Nested mapping with some entries replaced."""
+    result = dict(values)
+    for key, value in changes.items():
+        inner = result.get(key)
+        if isinstance(value, dict) and isinstance(inner, dict):
+            result[key] = merged(inner, value)
+        else:
+            result[key] = value
+    return result

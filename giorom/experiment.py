@@ -1,0 +1,347 @@
+"""A training run from data set to stored simulator: field first, then time-stepper."""
+
+import json
+import shutil
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from giorom.config import Experiment
+from giorom.data.statistics import Statistics
+from giorom.data.trajectory_file import iterate_trajectories, read_metadata
+from giorom.data.windows import SampledTrajectory, Windows, sample_trajectories
+from giorom.evaluation.metrics import squared_error_per_frame
+from giorom.evaluation.rollout import roll_out
+from giorom.graph import RadiusChoice, choose_radius
+from giorom.normalization import Normalization
+from giorom.pipeline import Connect, start_from_trajectory
+from giorom.sampling import sample
+from giorom.simulator import Simulator, SimulatorConfig, package_version
+from giorom.state import SparseState, Trajectory, concatenate_states
+from giorom.training.checkpoint import write_directory
+from giorom.training.field_loop import thin, train_field
+from giorom.training.loop import Budget, StepperTraining, append_log, train_stepper
+
+RADIUS_BODIES = 16
+"""Training bodies whose connectivity decides the graph radius."""
+
+Report = Callable[[str, dict[str, Any]], None]
+"""Called with a stage and numbers, for a progress bar."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainingData:
+    """What a run reads of a data set."""
+
+    metadata: dict[str, Any]
+    """Metadata of the data set."""
+
+    choice: RadiusChoice
+    """Graph radius and its reason."""
+
+    windows: Windows
+    """Training windows."""
+
+    thinned: list[Trajectory]
+    """Training trajectories for the field."""
+
+    validation: list[SampledTrajectory]
+    """Held-out trajectories, sampled as in use."""
+
+    latent_bounds: list[list[float]]
+    """Padded bounds of the training positions [m]."""
+
+
+def load_training_data(experiment: Experiment, folder: Path) -> TrainingData:
+    """Read, sample and thin a data set.
+
+    Raises:
+        ValueError: If the data set is unfinished, damaged, of another dimension or frame time.
+    """
+    metadata = read_metadata(folder)
+    _check_match(experiment, metadata, folder)
+    training = experiment.training
+    full = list(iterate_trajectories(folder, "train"))
+    choice = choose_common_radius(full, experiment)
+    reference = choice.radius if experiment.graph.configuration == "reference" else None
+    sampled = sample_trajectories(
+        full, experiment.sampling, subsets=training.subsets, reference_radius=reference
+    )
+    validation = sample_trajectories(
+        iterate_trajectories(folder, "valid"),
+        experiment.sampling,
+        subsets=1,
+        reference_radius=reference,
+    )
+    return TrainingData(
+        metadata=metadata,
+        choice=choice,
+        windows=Windows(
+            sampled, history=experiment.features.history, future=training.longest_unroll
+        ),
+        thinned=[thin(t, experiment.field_training, seed=i) for i, t in enumerate(full)],
+        validation=validation[: training.validation_trajectories],
+        latent_bounds=padded_bounds(full, turned=training.turn),
+    )
+
+
+def choose_common_radius(trajectories: list[Trajectory], experiment: Experiment) -> RadiusChoice:
+    """The largest of the radii that some training bodies ask for, or the configured one."""
+    config = experiment.graph
+    choices = []
+    for trajectory in trajectories[:RADIUS_BODIES]:
+        start = trajectory.position[0]
+        samples = start[sample(start, experiment.sampling)]
+        choices.append(choose_radius(samples, start, margin=config.margin))
+    largest = max(choices, key=lambda choice: choice.radius)
+    return largest if config.radius is None else replace(largest, radius=config.radius)
+
+
+def padded_bounds(trajectories: list[Trajectory], *, turned: bool) -> list[list[float]]:
+    """Bounds of all training positions, a tenth of their extent wider on every side.
+
+    Args:
+        trajectories: Training trajectories.
+        turned: Whether training turns them about the vertical axis.
+    """
+    low = torch.stack([t.position.amin(dim=(0, 1)) for t in trajectories]).amin(dim=0)
+    high = torch.stack([t.position.amax(dim=(0, 1)) for t in trajectories]).amax(dim=0)
+    if turned:
+        center = trajectories[0].bounds.mean(dim=1)
+        reach = torch.maximum(center - low, high - center)
+        if len(reach) == 3:
+            reach[0] = reach[2] = torch.maximum(reach[0], reach[2])
+            low[2], high[2] = center[2] - reach[2], center[2] + reach[2]
+        low[0], high[0] = center[0] - reach[0], center[0] + reach[0]
+    pad = 0.1 * (high - low)
+    return torch.stack([low - pad, high + pad], dim=1).tolist()
+
+
+def fit_normalization(experiment: Experiment, metadata: dict[str, Any]) -> Normalization:
+    """Scales of the training split and the training noise, in SI units."""
+    frame_dt = float(metadata["dt"])
+    statistics = Statistics.from_metadata(metadata).in_si(frame_dt=frame_dt)
+    return Normalization.fit(
+        velocity_mean=tuple(statistics.velocity_mean.tolist()),
+        velocity_std=tuple(statistics.velocity_std.tolist()),
+        acceleration_mean=tuple(statistics.acceleration_mean.tolist()),
+        acceleration_std=tuple(statistics.acceleration_std.tolist()),
+        noise_std=experiment.training.noise_std,
+        frame_dt=frame_dt,
+        isotropic=experiment.training.isotropic,
+    )
+
+
+def build_simulator(experiment: Experiment, data: TrainingData) -> Simulator:
+    """An untrained simulator for a data set."""
+    dimension = int(data.metadata["dim"])
+    return Simulator(
+        SimulatorConfig(
+            system=experiment.system,
+            dimension=dimension,
+            frame_dt=float(data.metadata["dt"]),
+            bounds=[list(map(float, pair)) for pair in data.metadata["bounds"]],
+            sampling=experiment.sampling,
+            graph=replace(experiment.graph, radius=data.choice.radius),
+            features=experiment.features,
+            normalization=fit_normalization(experiment, data.metadata),
+            time_stepper=experiment.time_stepper.build(
+                dimension=dimension,
+                features=experiment.features,
+                latent_bounds=data.latent_bounds,
+            ),
+            field=experiment.field,
+            scene=experiment.scene,
+            solver=experiment.solver,
+        )
+    )
+
+
+def train(
+    experiment: Experiment,
+    *,
+    data_folder: Path,
+    out: Path,
+    budget: Budget,
+    seed: int,
+    resume: bool,
+    device: str,
+    report: Report,
+) -> dict[str, Any]:
+    """Train field and time-stepper and store the best simulator in ``out/simulator``.
+
+    Args:
+        experiment: What to train.
+        data_folder: A finished data set.
+        out: Directory of the run.
+        budget: When to stop.
+        seed: Seed of weights, batches and noise.
+        resume: Continue the run found in ``out``.
+        device: ``cpu`` or ``cuda``.
+        report: Progress.
+
+    Returns:
+        The keys of ``giorom train --json``.
+    """
+    start = time.perf_counter()
+    torch.manual_seed(seed)
+    data = load_training_data(experiment, data_folder)
+    report("note", {"text": str(data.choice)})
+    simulator = build_simulator(experiment, data)
+    _prepare_folder(out, simulator, resume=resume)
+    _train_field(simulator, experiment, data, out=out, budget=budget, seed=seed, report=report)
+    simulator.to(device)
+    training = StepperTraining(
+        simulator.dynamics,
+        experiment.training,
+        windows=data.windows,
+        connect=simulator.connect,
+        seed=seed,
+        folder=out,
+    )
+    if resume and (out / "checkpoints").is_dir():
+        training.resume()
+    validate = _validation(experiment, data, connect=simulator.connect, device=device)
+    run = train_stepper(
+        training,
+        budget,
+        validate=validate,
+        keep=lambda best: _keep(simulator, best, out),
+        report=lambda numbers: report("time_stepper", numbers),
+    )
+    stepper = simulator.dynamics.time_stepper
+    return {
+        "steps": run.step,
+        "seconds": time.perf_counter() - start,
+        "steps_per_second": run.step / max(run.seconds, 1e-9),
+        "best_rollout_mse": run.best,
+        "parameters": sum(p.numel() for p in stepper.parameters()),
+        "field_parameters": sum(p.numel() for p in simulator.field.parameters()),
+        "radius": data.choice.radius,
+        "seed": seed,
+        "threads": torch.get_num_threads(),
+        "torch": torch.__version__,
+        "giorom": package_version(),
+        "history": run.history,
+    }
+
+
+def _train_field(
+    simulator: Simulator,
+    experiment: Experiment,
+    data: TrainingData,
+    *,
+    out: Path,
+    budget: Budget,
+    seed: int,
+    report: Report,
+) -> None:
+    """Train the field, or load the one the run has already finished."""
+    from safetensors.torch import load_file, save_file
+
+    done = out / "field.safetensors"
+    if done.is_file():
+        simulator.field.load_state_dict(load_file(done))
+        return
+    config = experiment.field_training
+    minutes = config.minutes
+    if budget.minutes is not None:
+        minutes = min(minutes, budget.minutes / 5.0)
+    result = train_field(
+        simulator.field,
+        data.thinned,
+        config,
+        seed=seed,
+        minutes=minutes,
+        turn=experiment.training.turn,
+        report=lambda numbers: report("field", numbers),
+    )
+    temporary = out / ".field.tmp"
+    save_file(simulator.field.state_dict(), temporary)
+    temporary.replace(done)
+    append_log(out / "log.jsonl", {"stage": "field", **result})
+
+
+def _validation(
+    experiment: Experiment, data: TrainingData, *, connect: Connect, device: str
+) -> Callable[[nn.Module], dict[str, float]]:
+    """A function that rolls the held-out trajectories out and scores them."""
+    history = experiment.features.history
+    members = [sampled.motion for sampled in data.validation]
+    if not members:
+        raise ValueError(
+            "the data set has no validation trajectory; make at least three trajectories so that "
+            "one can be held out."
+        )
+    frames = min(
+        experiment.training.validation_frames, min(m.frame_count for m in members) - history
+    )
+    states = [
+        start_from_trajectory(m, torch.arange(m.position.shape[1]), history=history)
+        for m in members
+    ]
+    state: SparseState = concatenate_states(states).to(device)
+    truth: Tensor = torch.cat([m.position[history : history + frames] for m in members], dim=1)
+
+    def validate(model: nn.Module) -> dict[str, float]:
+        result = roll_out(state, frames, connect=connect, acceleration=model)
+        error = squared_error_per_frame(result.position.cpu(), truth)
+        still = squared_error_per_frame(state.position.cpu().expand_as(truth), truth)
+        mse = float(error.mean()) if result.diverged_at is None else float("inf")
+        return {"rollout_mse": mse, "static_mse": float(still.mean())}
+
+    return validate
+
+
+def _keep(simulator: Simulator, best: nn.Module, out: Path) -> None:
+    """Store the simulator with the weights of ``best``."""
+    current = {k: v.clone() for k, v in simulator.dynamics.state_dict().items()}
+    simulator.dynamics.load_state_dict(best.state_dict())
+    write_directory(out / "simulator", simulator.save_pretrained)
+    simulator.dynamics.load_state_dict(current)
+
+
+def _prepare_folder(out: Path, simulator: Simulator, *, resume: bool) -> None:
+    """Begin a run in an empty folder, or continue the same run in its own."""
+    record = json.dumps(_identity(simulator.config), sort_keys=True)
+    known = out / "run.json"
+    if known.is_file():
+        if not resume:
+            raise ValueError(
+                f"{out} already holds a training run. Continue it with --resume, or choose another "
+                f"--out."
+            )
+        if known.read_text() != record:
+            raise ValueError(
+                f"{out} holds a run of another configuration or data set; --resume continues only "
+                f"the same one. Choose another --out."
+            )
+        return
+    if resume:
+        raise ValueError(f"{out} holds no training run to resume. Train without --resume.")
+    out.mkdir(parents=True, exist_ok=True)
+    shutil.rmtree(out / "checkpoints", ignore_errors=True)
+    known.write_text(record)
+
+
+def _identity(config: SimulatorConfig) -> dict[str, Any]:
+    """What has to stay the same when a run is resumed."""
+    from dataclasses import asdict
+
+    return json.loads(json.dumps(asdict(config)))
+
+
+def _check_match(experiment: Experiment, metadata: dict[str, Any], folder: Path) -> None:
+    """Reject data that the experiment was not made for."""
+    wanted = {"dim": experiment.scene.dimension, "dt": experiment.solver.frame_dt}
+    for key, value in wanted.items():
+        if abs(float(metadata[key]) - value) > 1e-9 * abs(value):
+            raise ValueError(
+                f"{folder} has {key}={metadata[key]}, the experiment {experiment.system} expects "
+                f"{value}. Use the preset the data were made with."
+            )

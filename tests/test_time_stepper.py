@@ -1,0 +1,173 @@
+"""The time-stepper's presets, its checks and its latent grid. The contract is in contracts/."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from giorom.features import Features
+from giorom.graph import radius_edges
+from giorom.time_stepper import TimeStepper, TimeStepperConfig
+
+UNIT = [[0.0, 1.0]] * 3
+SMALL = {"hidden": 16, "latent_side": 4, "transformer_width": 16, "latent_width": 8}
+
+
+def features(count: int = 40, radius: float = 0.35) -> Features:
+    """Two random scenes of ``count`` particles in the unit cube, in float64."""
+    generator = torch.Generator().manual_seed(0)
+    position = torch.rand(2 * count, 3, generator=generator, dtype=torch.float64)
+    batch = torch.arange(2).repeat_interleave(count)
+    edges = radius_edges(position, batch, radius)
+    vector = (position[edges.sender] - position[edges.receiver]) / radius
+    return Features(
+        node=torch.randn(2 * count, 21, generator=generator, dtype=torch.float64),
+        particle_type=torch.full((2 * count,), 5),
+        edge=torch.cat([vector, vector.norm(dim=1, keepdim=True)], dim=1),
+        edges=edges,
+        position=position,
+        batch=batch,
+        batch_size=2,
+    )
+
+
+def make(**options: object) -> TimeStepper:
+    """A small recommended model in float64, always with the same weights."""
+    torch.manual_seed(0)
+    values = {"latent_bounds": UNIT} | SMALL | options
+    return TimeStepper(TimeStepperConfig.default(**values)).double()
+
+
+@pytest.mark.parametrize(
+    ("node_skip", "expected"),
+    [(True, 2_387_669), ("linear", 2_387_669), (False, 2_321_621), ("none", 2_321_621)],
+)
+def test_the_paper_preset_has_the_published_number_of_parameters(node_skip, expected):
+    """2.39 M on the model cards; the sum over all layers is in the method notes, 3.2."""
+    model = TimeStepper(TimeStepperConfig.paper(node_skip=node_skip))
+    assert sum(parameter.numel() for parameter in model.parameters()) == expected
+
+
+def test_the_default_preset_reaches_every_particle_and_has_a_close_size():
+    """The default radius is 1.5 times what covers the grid."""
+    model = TimeStepper(TimeStepperConfig.default(latent_bounds=UNIT))
+    grid = model.latent.grid
+    assert grid.reach == pytest.approx(1.5 * grid.covering_radius)
+    assert 2.2e6 < sum(parameter.numel() for parameter in model.parameters()) < 2.5e6
+
+
+def test_a_radius_that_leaves_particles_out_is_reported():
+    """The published two-dimensional grid covers 43 % of the points."""
+    with pytest.warns(UserWarning, match="particles far from every node get nothing"):
+        TimeStepper(TimeStepperConfig.paper(2))
+
+
+def test_moving_body_and_grid_together_changes_nothing():
+    """The model knows places only relative to its grid."""
+    before, shift = features(), 0.125
+    after = replace(before, position=before.position + shift)
+    moved = make(latent_bounds=[[low + shift, high + shift] for low, high in UNIT])
+    torch.testing.assert_close(moved(after), make()(before), rtol=0, atol=1e-10)
+
+
+def test_scaling_body_and_grid_together_changes_nothing():
+    """Metres or millimetres: the features are dimensionless and the grid is relative."""
+    before, scale = features(), 1024.0
+    after = replace(before, position=before.position * scale)
+    scaled = make(latent_bounds=[[low * scale, high * scale] for low, high in UNIT])
+    torch.testing.assert_close(scaled(after), make()(before), rtol=0, atol=1e-10)
+
+
+def test_moving_the_body_in_the_grid_does_change_the_result():
+    """Why the model is not translation invariant: the grid is fixed in the domain."""
+    before = features()
+    after = replace(before, position=before.position + 0.125)
+    assert (make()(after) - make()(before)).abs().max() > 1e-3
+
+
+def test_leaving_out_empty_tokens_changes_nothing_when_none_is_empty():
+    """With a reach that makes every node occupied both ways see the same tokens."""
+    options = {"latent_side": 3, "latent_radius": 0.6}
+    full, occupied = (make(occupied_tokens=flag, **options) for flag in (False, True))
+    scene = features(count=200)
+    torch.testing.assert_close(occupied(scene), full(scene), rtol=0, atol=1e-10)
+
+
+def test_leaving_out_empty_tokens_matters_when_some_are_empty():
+    """The attention is then a mean over the body, not over the box."""
+    corner = replace(features(), position=features().position * 0.3)
+    full, occupied = (make(occupied_tokens=flag) for flag in (False, True))
+    assert (full(corner) - occupied(corner)).abs().max() > 1e-6
+
+
+def test_the_grid_adds_nothing_to_particles_out_of_its_reach():
+    """An empty ball gives zero before the projection, hence its bias alone."""
+    model, scene = make(), features()
+    far = replace(scene, position=scene.position + 100.0)
+    node = torch.randn(80, 16, dtype=torch.float64)
+    added = model.latent(node, far)
+    torch.testing.assert_close(added, model.latent.projection.layers[0].bias.expand_as(added))
+    assert float(model.coverage(far)) == 0.0
+    assert float(model.coverage(scene)) == 1.0
+
+
+def test_without_grid_coverage_is_complete():
+    """Nothing is missed where nothing is asked."""
+    assert float(make(latent=False).coverage(features())) == 1.0
+
+
+def test_extra_edge_channels_are_read():
+    """Rest-shape channels follow the relative position and change the result."""
+    scene = features()
+    extra = torch.randn(len(scene.edge), 8, dtype=torch.float64)
+    model = make(edge_width=12)
+    one, other = (
+        model(replace(scene, edge=torch.cat([scene.edge, part], dim=1))) for part in (extra, -extra)
+    )
+    assert (one - other).abs().max() > 1e-3
+
+
+def test_deeper_variants_run():
+    """Layers, projection and experts beyond the presets."""
+    model = make(
+        transformer_layers=2,
+        transformer_mlp_depth=0,
+        projection_layers=3,
+        projection_width=8,
+        experts=3,
+        expert_hidden=5,
+        node_skip="linear",
+        distance_weight=False,
+        layers_before=0,
+        layers_after=3,
+    )
+    assert model(features()).isfinite().all()
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"dimension": 4}, r"dimension must be one of \(2, 3\), got 4"),
+        ({"dropout": 1.0}, r"dropout is a share and must be in \[0, 1\), got 1.0"),
+        ({"hidden": 0}, "hidden must be >= 1, got 0"),
+        ({"layers_before": -1}, "layers_before must be >= 0, got -1"),
+        ({"edge_width": 3}, "edge_width=3 has no room"),
+        ({"heads": 3}, "heads=3 must divide transformer_width=256"),
+        ({"latent_side": 1}, "latent_side must be >= 2 nodes, got 1"),
+        ({"latent_bounds": [[0.0, 1.0]]}, "latent_bounds must be 3 pairs"),
+        ({"latent_bounds": [[0.0, 1.0], [1.0, 0.0], [0.0, 1.0]]}, "with low < high"),
+        ({"latent_radius": 0.0}, "latent_radius must be > 0 m, got 0.0"),
+    ],
+)
+def test_impossible_values_are_refused(changes, message):
+    """Each message names the field, the rule and the value."""
+    with pytest.raises(ValueError, match=message):
+        TimeStepperConfig.paper(**changes)
+
+
+@pytest.mark.parametrize("name", ["node_skip", "gno_kernel", "gate_input"])
+def test_unknown_choices_are_refused(name):
+    """By the class itself (ValueError), or before it by the run-time check of the annotations."""
+    values = {"dimension": 3, "node_width": 21, "edge_width": 4, "latent_bounds": UNIT}
+    with pytest.raises((ValueError, TypeError), match=name):
+        TimeStepperConfig(**values, **{name: "other"})
