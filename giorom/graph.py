@@ -8,7 +8,7 @@ which a minimum spanning tree answers in closed form.
 """
 
 from dataclasses import dataclass
-from itertools import product
+from itertools import pairwise, product
 from typing import Literal
 
 import numpy as np
@@ -221,7 +221,7 @@ def _pairs_by_tree(position: Tensor, batch: Tensor, radius: float) -> tuple[Tens
     points, scene = position.detach().double().numpy(), batch.numpy()
     starts = np.flatnonzero(np.r_[True, scene[1:] != scene[:-1], True]) if len(scene) else [0]
     found = [np.stack([np.arange(len(points))] * 2, axis=1)]
-    for start, stop in zip(starts[:-1], starts[1:], strict=True):
+    for start, stop in pairwise(starts):
         pairs = cKDTree(points[start:stop]).query_pairs(radius, output_type="ndarray") + start
         found += [pairs, pairs[:, ::-1]]
     pairs = torch.from_numpy(np.concatenate(found))

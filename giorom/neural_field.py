@@ -9,6 +9,7 @@ The solve runs in float64 whatever the precision of the network.
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal
 
 import torch
@@ -67,9 +68,7 @@ class NeuralField(nn.Module):
         self.register_buffer("center", torch.zeros(dimension))
         self.register_buffer("scale", torch.ones(dimension))
         widths = [dimension] + [config.width] * config.depth
-        self.hidden = nn.ModuleList(
-            nn.Linear(a, b) for a, b in zip(widths, widths[1:], strict=False)
-        )
+        self.hidden = nn.ModuleList(nn.Linear(a, b) for a, b in pairwise(widths))
         self.output = nn.Linear(config.width, dimension * config.modes)
         for layer in [*self.hidden, self.output]:
             nn.init.xavier_uniform_(layer.weight)
@@ -107,8 +106,8 @@ class SampleSolver:
         factor, failed = torch.linalg.cholesky_ex(normal + strength * identity)
         if int(failed) != 0:
             raise ValueError(
-                f"{basis.shape[0]} samples do not determine {basis.shape[2]} modes (Cholesky failed "
-                f"at row {int(failed)}). Sample more points, use fewer modes or raise the ridge."
+                f"{basis.shape[0]} samples do not determine {basis.shape[2]} modes (Cholesky "
+                f"failed at row {int(failed)}). Sample more points or use fewer modes."
             )
         self.factor = factor
 

@@ -34,8 +34,8 @@ class Normalization:
             values = getattr(self, name)
             if not all(math.isfinite(value) and value > 0.0 for value in values):
                 raise ValueError(
-                    f"Normalization.{name} must be finite and > 0 on every axis, got {values}. Does "
-                    f"the training data move?"
+                    f"Normalization.{name} must be finite and > 0 on every axis, got {values}. "
+                    f"Check that the training data move on every axis."
                 )
 
     @classmethod

@@ -1,0 +1,1 @@
+"""Metrics, trivial predictions, rollouts and the comparison with MPM."""

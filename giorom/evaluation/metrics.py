@@ -4,7 +4,6 @@ Squared errors are squared Euclidean distances (summed over axes), averaged over
 frames, in square metres: the convention of arXiv:2407.03925.
 """
 
-import torch
 from jaxtyping import Float
 from torch import Tensor
 

@@ -1,0 +1,1 @@
+"""Training: noise, loss, one plain loop per network, checkpoints."""

@@ -310,8 +310,8 @@ def train_stepper(
         loss = training.train_step(numbers, progress=progress)
         if not math.isfinite(loss):
             raise FloatingPointError(
-                f"the training loss is {loss} at step {run.step}. Lower TrainingConfig.learning_rate "
-                f"({config.learning_rate:g}) and resume from the last checkpoint."
+                f"the training loss is {loss} at step {run.step}. Lower "
+                f"TrainingConfig.learning_rate ({config.learning_rate:g}) and train again."
             )
         loss_mean = loss if math.isnan(loss_mean) else 0.99 * loss_mean + 0.01 * loss
         run.step += 1

@@ -1,0 +1,83 @@
+"""``giorom rollout``: simulate a body with a trained model, to a file."""
+
+import argparse
+import time
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from giorom.commands.evaluate import check_trajectory, chosen_model
+from giorom.commands.shared import say
+from giorom.data.trajectory_file import read_trajectory
+from giorom.export import check_extension, write_trajectory
+from giorom.mpm import draw_scene
+from giorom.simulator import Simulator
+from giorom.state import Trajectory
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of the command."""
+    parser.add_argument("model", nargs="?", help="folder of a training run or of a simulator")
+    parser.add_argument("--pretrained", metavar="NAME", help="a model of the package instead")
+    parser.add_argument("--shape", help="shape name or closed mesh file")
+    parser.add_argument("--data", type=Path, help="data set that holds the initial state")
+    parser.add_argument("--split", choices=("train", "valid", "test"), default="test")
+    parser.add_argument("--trajectory", type=int, default=0, help="its number in the data set")
+    parser.add_argument("--frames", type=int, required=True, help="frames to simulate")
+    parser.add_argument("--sparse", type=int, help="number of samples; by default as trained")
+    parser.add_argument(
+        "--out", type=Path, required=True, help="file; its extension says the format"
+    )
+
+
+def run(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Roll out and write the file."""
+    check_extension(arguments.out)
+    if arguments.frames < 1:
+        raise ValueError(f"--frames must be >= 1, got {arguments.frames}.")
+    if (arguments.shape is None) == (arguments.data is None):
+        raise ValueError("give either --shape or --data: the body to start from.")
+    simulator = Simulator.from_pretrained(chosen_model(arguments)).to(arguments.device)
+    position, velocity, particle_type = _start(arguments, simulator)
+    start = time.perf_counter()
+    motion = simulator.rollout(
+        position.to(arguments.device),
+        velocity.to(arguments.device),
+        particle_type.to(arguments.device),
+        frames=arguments.frames,
+        sparse_points=arguments.sparse,
+    ).to("cpu")
+    seconds = time.perf_counter() - start
+    write_trajectory(motion, arguments.out)
+    samples = motion.attributes["sparse_points"]
+    say(
+        arguments,
+        f"{arguments.out}: {motion.position.shape[1]} particles from {samples} samples, "
+        f"{motion.frame_count} frames in {seconds:.2f} s",
+    )
+    return {
+        "points": motion.position.shape[1],
+        "sparse_points": samples,
+        "frames": motion.frame_count,
+        "seconds": seconds,
+        "files": [str(arguments.out)],
+    }
+
+
+def _start(
+    arguments: argparse.Namespace, simulator: Simulator
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Positions, velocities and types of all particles at the start."""
+    if arguments.shape is not None:
+        scene = draw_scene(simulator.config.scene, seed=arguments.seed, shape=arguments.shape)
+        return scene.position, scene.velocity, scene.particle_type
+    trajectory: Trajectory = read_trajectory(arguments.data, arguments.split, arguments.trajectory)
+    check_trajectory(simulator, trajectory)
+    if trajectory.frame_count < 2:
+        raise ValueError(
+            f"trajectory {arguments.trajectory} of {arguments.data} has one frame; two are needed "
+            f"for a velocity."
+        )
+    velocity = (trajectory.position[1] - trajectory.position[0]) / trajectory.frame_dt
+    return trajectory.position[0], velocity, trajectory.particle_type

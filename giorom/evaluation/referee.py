@@ -1,0 +1,149 @@
+"""One scene, simulated twice: by the surrogate and by the material point method.
+
+The material point method is the referee: same body, same initial velocity, same frames. Both are
+timed, stage by stage, and their motions compared on all points.
+"""
+
+import math
+import time
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from giorom.evaluation.evaluate import Comparison
+from giorom.evaluation.metrics import squared_error_per_frame
+from giorom.evaluation.stopwatch import Stopwatch, synchronize
+from giorom.evaluation.trivial import constant_velocity, free_fall, hold_still
+from giorom.mpm import Scene, SceneConfig, simulate
+from giorom.pipeline import rollout, start_from_velocity
+from giorom.simulator import Simulator
+from giorom.state import Trajectory
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verdict:
+    """Surrogate and referee on one scene."""
+
+    predicted: Trajectory
+    """Motion of all points by the surrogate."""
+
+    truth: Trajectory
+    """Motion of all points by the material point method."""
+
+    scores: dict[str, Any]
+    """The keys of ``giorom demo --json``."""
+
+
+def judge(simulator: Simulator, scene: Scene, *, frames: int, sparse_points: int | None) -> Verdict:
+    """Simulate ``scene`` with both and compare.
+
+    Args:
+        simulator: The surrogate.
+        scene: Body and initial velocity.
+        frames: Frames after the initial one.
+        sparse_points: Number of samples; by default the trained reduction.
+    """
+    samples = simulator.sample(scene.position, count=sparse_points)
+    sparse, predicted, seconds = _timed_rollout(simulator, scene, samples, frames)
+    solver = replace(simulator.config.solver, frames=frames + 1)
+    truth = simulate(scene, solver)
+    scores = _compare(simulator, scene, samples, predicted, truth)
+    solver_seconds = float(truth.attributes["seconds"]) / frames
+    scores |= {
+        "points": len(scene.position),
+        "sparse_points": len(samples),
+        "reduction": len(scene.position) / len(samples),
+        "frames": frames,
+        "frame_dt": simulator.config.frame_dt,
+        "seconds_per_frame": {name: value / frames for name, value in seconds.items()},
+        "solver_seconds_per_frame": solver_seconds,
+        "speedup": solver_seconds * frames / seconds["total"],
+        "threads": torch.get_num_threads(),
+        "solver_threads": 1,
+        "shape": scene.attributes.get("shape"),
+        "sparse_rollout_mse": float(
+            squared_error_per_frame(sparse, truth.position[1:, samples]).mean()
+        ),
+    }
+    motion = replace(truth, position=torch.cat([scene.position[None], predicted]))
+    return Verdict(predicted=motion, truth=truth, scores=scores)
+
+
+def scene_with_points(config: SceneConfig, *, points: int | None, found: int) -> SceneConfig:
+    """The scene family with a spacing that gives about ``points`` particles.
+
+    Args:
+        config: The family.
+        points: Wanted number; none keeps the spacing.
+        found: Number that the spacing of ``config`` gives.
+    """
+    if points is None:
+        return config
+    if points < 1:
+        raise ValueError(f"the number of points must be >= 1, got {points}.")
+    factor = (found / points) ** (1.0 / config.dimension)
+    return replace(config, spacing=config.spacing * factor)
+
+
+def _timed_rollout(
+    simulator: Simulator, scene: Scene, samples: Tensor, frames: int
+) -> tuple[Tensor, Tensor, dict[str, float]]:
+    """Sparse and full positions, and the time of each stage [s]."""
+    arguments = (scene.position, scene.velocity, scene.particle_type)
+    watch = Stopwatch()
+    decoder = watch.timed("upscale", simulator.decoder)(
+        scene.position, scene.particle_type == 3, samples=samples
+    )
+    decode = watch.timed("upscale", decoder)
+    connect = watch.timed("graph", simulator.connect)
+    network = watch.timed("network", simulator.dynamics)
+    state = simulator.start(*arguments, samples=samples)
+    with torch.no_grad():
+        simulator.dynamics(state, simulator.connect(state))  # warm-up
+    synchronize()
+    start = time.perf_counter()
+    sparse, full = [], []
+    for later in rollout(state, frames, connect=connect, acceleration=network):
+        sparse.append(later.position)
+        full.append(decode(later.position))
+    synchronize()
+    total = time.perf_counter() - start
+    seconds = dict(watch.seconds)
+    seconds["integrate"] = max(0.0, total - sum(seconds.values()))
+    return torch.stack(sparse), torch.stack(full), seconds | {"total": total}
+
+
+def _compare(
+    simulator: Simulator, scene: Scene, samples: Tensor, predicted: Tensor, truth: Trajectory
+) -> dict[str, Any]:
+    """Errors of surrogate, field alone and trivial predictions on all points."""
+    frames = len(predicted)
+    everything = start_from_velocity(
+        scene.position,
+        scene.velocity,
+        particle_type=scene.particle_type,
+        bounds=truth.bounds,
+        frame_dt=truth.frame_dt,
+        history=2,
+    )
+    gravity = torch.zeros(scene.position.shape[1])
+    gravity[1] = -scene.gravity
+    result = Comparison(
+        given=scene.position[None],
+        truth=truth.position[1:],
+        predicted=predicted,
+        trivial={
+            "constant_velocity": constant_velocity(everything, frames),
+            "free_fall": free_fall(everything, frames, gravity=gravity),
+            "static": hold_still(everything, frames),
+        },
+    ).scores()
+    decode = simulator.decoder(scene.position, scene.particle_type == 3, samples=samples)
+    floor = torch.stack([decode(position) for position in truth.position[1:, samples]])
+    floor_error = squared_error_per_frame(floor, truth.position[1:])
+    result["projection_floor_mse"] = float(floor_error.sum()) / (frames + 1)
+    if not math.isfinite(result["rollout_mse"]):
+        raise FloatingPointError("the rollout is not finite; the model does not fit this scene.")
+    return result
