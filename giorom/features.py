@@ -17,6 +17,9 @@ from giorom.graph import Edges
 from giorom.normalization import Normalization
 from giorom.state import SparseState
 
+DISPLACEMENT_GAIN = 10.0
+"""Brings the displacement of an edge, about a tenth of its length, to order one."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class FeatureConfig:
@@ -31,6 +34,9 @@ class FeatureConfig:
 
     walls: bool = True
     """Distances to the walls in units of the graph radius, clipped to [-1, 1]."""
+
+    displacement: bool = False
+    """Add the displacement of each particle from the undeformed body (for clamped solids)."""
 
     rest_edges: bool = False
     """Add each edge in the undeformed body, its displacement and its stretch (for solids)."""
@@ -47,7 +53,7 @@ class FeatureConfig:
 
     def node_width(self, dimension: int) -> int:
         """Channels per node."""
-        return dimension * (self.velocities + 2 * self.walls)
+        return dimension * (self.velocities + 2 * self.walls + self.displacement)
 
     def edge_width(self, dimension: int) -> int:
         """Channels per edge."""
@@ -114,6 +120,8 @@ def compute_features(
         low = (state.position - state.bounds[:, 0]) / radius
         high = (state.bounds[:, 1] - state.position) / radius
         node.append(torch.cat([low, high], dim=1).clamp(-1.0, 1.0))
+    if config.displacement:
+        node.append((state.position - state.reference) / radius * DISPLACEMENT_GAIN)
     edge = [_relative(state.position, edges, radius)]
     if config.rest_edges:
         edge += _rest_features(state, edges, radius, edge[0])
@@ -157,7 +165,3 @@ def _length(vector: Tensor) -> Tensor:
     """Euclidean length with a finite gradient at zero."""
     square = vector.square().sum(dim=1, keepdim=True)
     return torch.where(square > 0.0, square.clamp_min(1e-30).sqrt(), torch.zeros_like(square))
-
-
-DISPLACEMENT_GAIN = 10.0
-"""Brings the displacement of an edge, about a tenth of its length, to order one."""
