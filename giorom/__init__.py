@@ -7,6 +7,8 @@ imported when they are first used, so that ``giorom --help`` need not wait for P
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from giorom.version import __version__
+
 if TYPE_CHECKING:
     from giorom.config import Experiment, load_experiment
     from giorom.graph import choose_radius, radius_edges
@@ -16,8 +18,6 @@ if TYPE_CHECKING:
     from giorom.simulator import Simulator
     from giorom.state import SparseState, Trajectory
     from giorom.time_stepper import TimeStepper
-
-__version__ = "0.1.0"
 
 _PLACES = {
     "Trajectory": "giorom.state",
@@ -47,6 +47,7 @@ __all__ = [
     "SparseState",
     "TimeStepper",
     "Trajectory",
+    "__version__",
     "choose_radius",
     "draw_scene",
     "load_experiment",
@@ -65,4 +66,4 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     """Public names, imported or not."""
-    return sorted([*__all__, "__version__"])
+    return sorted(__all__)

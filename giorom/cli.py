@@ -27,7 +27,7 @@ def main(arguments: list[str] | None = None) -> int:
         parser.print_help()
         return 0
     if arguments[0] == "--version":
-        from giorom import __version__
+        from giorom.version import __version__
 
         print(f"giorom {__version__}")
         return 0

@@ -21,11 +21,12 @@ from giorom.graph import RadiusChoice, choose_radius
 from giorom.normalization import Normalization
 from giorom.pipeline import Connect, start_from_trajectory
 from giorom.sampling import sample
-from giorom.simulator import Simulator, SimulatorConfig, package_version
+from giorom.simulator import Simulator, SimulatorConfig
 from giorom.state import SparseState, Trajectory, concatenate_states
 from giorom.training.checkpoint import write_directory
 from giorom.training.field_loop import thin, train_field
 from giorom.training.loop import Budget, StepperTraining, append_log, train_stepper
+from giorom.version import __version__
 
 RADIUS_BODIES = 16
 """Training bodies whose connectivity decides the graph radius."""
@@ -226,7 +227,7 @@ def train(
         "seed": seed,
         "threads": torch.get_num_threads(),
         "torch": torch.__version__,
-        "giorom": package_version(),
+        "giorom": __version__,
         "history": run.history,
     }
 

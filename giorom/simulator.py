@@ -8,7 +8,6 @@ import dataclasses
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +34,7 @@ from giorom.records import nearest, one_line, parse_record
 from giorom.sampling import SamplingConfig, sample
 from giorom.state import SparseState, Trajectory
 from giorom.time_stepper import TimeStepper, TimeStepperConfig
+from giorom.version import __version__
 
 PRETRAINED = Path(__file__).parent / "pretrained"
 """Models that are part of the package."""
@@ -197,7 +197,7 @@ class Simulator(nn.Module):
     def save_pretrained(self, directory: Path | str) -> None:
         """Write ``config.json`` and ``model.safetensors`` into an existing directory."""
         directory = Path(directory)
-        record = {"format_version": FORMAT_VERSION, "giorom": package_version()}
+        record = {"format_version": FORMAT_VERSION, "giorom": __version__}
         record |= dataclasses.asdict(self.config)
         tensors = {name: value.detach().cpu() for name, value in self.state_dict().items()}
         save_file(tensors, directory / "model.safetensors")
@@ -251,14 +251,6 @@ def pretrained_directory(name: Path | str) -> Path:
 def pretrained_names() -> list[str]:
     """Names of the models that are part of the package."""
     return sorted(path.parent.name for path in PRETRAINED.glob("*/config.json"))
-
-
-def package_version() -> str:
-    """Version of giorom that is installed."""
-    try:
-        return version("giorom")
-    except PackageNotFoundError:
-        return "unknown"
 
 
 def _read_config(path: Path) -> SimulatorConfig:

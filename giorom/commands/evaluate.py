@@ -8,7 +8,8 @@ from giorom.commands.shared import print_table, progress_bar
 from giorom.data.atomic import write_json
 from giorom.data.trajectory_file import iterate_trajectories, trajectory_count
 from giorom.evaluation.evaluate import evaluate_trajectory, summarize
-from giorom.simulator import Simulator, package_version, pretrained_directory
+from giorom.simulator import Simulator, pretrained_directory
+from giorom.version import __version__
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -45,7 +46,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
             )
             bar.update()
     summary = summarize(results, system=simulator.config.system)
-    summary |= {"split": arguments.split, "giorom": package_version(), "seed": arguments.seed}
+    summary |= {"split": arguments.split, "giorom": __version__, "seed": arguments.seed}
     _print(arguments, summary)
     if arguments.pretrained is None:
         write_json(pretrained_directory(name).parent / "metrics.json", summary)

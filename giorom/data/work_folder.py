@@ -32,6 +32,7 @@ from giorom.data.trajectory_file import (
     write_trajectory_file,
 )
 from giorom.state import Trajectory
+from giorom.version import __version__
 
 __all__ = [
     "assemble_dataset",
@@ -300,8 +301,6 @@ def _write_split(folder: Path, name: str, parts: Sequence[int]) -> None:
 
 def _versions() -> dict[str, Any]:
     """What the reader of the metadata must know about the program and the units."""
-    from giorom import __version__
-
     return {
         "format_version": FORMAT_VERSION,
         "giorom_version": __version__,
