@@ -16,7 +16,7 @@ from giorom.state import Trajectory
 
 def test_run_is_never_written_over(tiny, data_folder, run_folder, run_training):
     """Without --resume an existing run is safe."""
-    with pytest.raises(ValueError, match="already holds a training run.*--resume"):
+    with pytest.raises(ValueError, match=r"already holds a training run.*--resume"):
         run_training(tiny, data_folder, run_folder)
 
 
@@ -43,12 +43,12 @@ def test_resuming_nothing_is_refused_and_makes_nothing(tiny, data_folder, run_tr
     assert not (tmp_path / "none").exists()
 
 
-@pytest.mark.parametrize(("key", "value"), [("dim", 2), ("dt", 1e-2)])
+@pytest.mark.parametrize("wrong", [("dim", 2), ("dt", 1e-2)])
 def test_data_of_another_dimension_or_frame_time_are_refused(
-    tiny, data_folder, run_training, tmp_path, key, value
+    tiny, data_folder, run_training, tmp_path, wrong
 ):
     """The message names the key; no folder is made."""
-    copy = tmp_path / "data"
+    (key, value), copy = wrong, tmp_path / "data"
     shutil.copytree(data_folder, copy, ignore=shutil.ignore_patterns("parts"))
     metadata = json.loads((copy / "metadata.json").read_text())
     metadata[key] = value

@@ -149,7 +149,7 @@ def test_loss_that_is_not_finite_ends_the_run_and_names_the_step(
         return loss(*arguments, **options) * (math.nan if len(calls) == 5 else 1.0)
 
     monkeypatch.setattr(loop, "unrolled_loss", spoilt)
-    with pytest.raises(FloatingPointError, match="loss is nan at step 4.*learning_rate"):
+    with pytest.raises(FloatingPointError, match=r"loss is nan at step 4.*learning_rate"):
         run_training(tiny, data_folder, tmp_path / "run", steps=6)
     tensors = load_file(tmp_path / "run" / "checkpoints" / "step-000000003" / "state.safetensors")
     assert all(bool(torch.isfinite(value).all()) for value in tensors.values())
