@@ -58,7 +58,7 @@ def test_run_folder_and_simulator_folder_name_the_same_model(run_folder):
 
 
 def test_rollout_begins_with_the_body_and_holds_its_clamp(simulator, scene):
-    """There is one frame more than asked for; frame 0 is the input; kinematic particles never move."""
+    """One frame more than asked for; frame 0 is the input; kinematic particles never move."""
     motion = simulator.rollout(scene.position, scene.velocity, scene.particle_type, frames=4)
     assert motion.frame_count == 5
     assert torch.equal(motion.position[0], scene.position)
