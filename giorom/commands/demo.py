@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from giorom.commands.shared import print_table, say
+from giorom.commands.shared import check_output, print_table, say
 from giorom.evaluation.referee import Verdict, judge, scene_with_points
 from giorom.export import write_trajectory
 from giorom.mpm import Scene, draw_scene
@@ -30,6 +30,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     """Simulate, compare, draw, write."""
     if arguments.frames < 1:
         raise ValueError(f"--frames must be >= 1, got {arguments.frames}.")
+    check_output(arguments.out, folder=True)
     simulator = Simulator.from_pretrained(arguments.pretrained)
     scene = _scene(arguments, simulator)
     if arguments.sparse is not None and not 1 <= arguments.sparse <= len(scene.position):

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 
 from giorom.commands.evaluate import check_trajectory, chosen_model
-from giorom.commands.shared import say
+from giorom.commands.shared import check_output, say
 from giorom.data.trajectory_file import read_trajectory
 from giorom.export import check_extension, write_trajectory
 from giorom.mpm import draw_scene
@@ -33,7 +33,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
     """Roll out and write the file."""
-    check_extension(arguments.out)
+    extension = check_extension(arguments.out)
+    folder = extension == ".ply"
+    check_output(arguments.out.with_suffix("") if folder else arguments.out, folder=folder)
     if arguments.frames < 1:
         raise ValueError(f"--frames must be >= 1, got {arguments.frames}.")
     if (arguments.shape is None) == (arguments.data is None):
@@ -49,11 +51,11 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
         sparse_points=arguments.sparse,
     ).to("cpu")
     seconds = time.perf_counter() - start
-    write_trajectory(motion, arguments.out)
+    written = write_trajectory(motion, arguments.out)
     samples = motion.attributes["sparse_points"]
     say(
         arguments,
-        f"{arguments.out}: {motion.position.shape[1]} particles from {samples} samples, "
+        f"{written}: {motion.position.shape[1]} particles from {samples} samples, "
         f"{motion.frame_count} frames in {seconds:.2f} s",
     )
     return {
@@ -61,7 +63,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
         "sparse_points": samples,
         "frames": motion.frame_count,
         "seconds": seconds,
-        "files": [str(arguments.out)],
+        "files": [str(written)],
     }
 
 

@@ -2,7 +2,6 @@
 
 import argparse
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -36,13 +35,22 @@ def execute(name: str, command: ModuleType, arguments: list[str], *, description
     parser = RefusingParser(prog=f"giorom {name}", description=description)
     command.add_arguments(parser)
     _add_common(parser)
-    parsed, rest = parser.parse_known_args(arguments)
-    parsed.overrides = _overrides(rest, parser) if hasattr(parsed, "config") else {}
-    if rest and not hasattr(parsed, "config"):
-        raise ValueError(f"unrecognised arguments: {' '.join(rest)}. See '{parser.prog} --help'.")
+    changes: list[tuple[str, str]] = []
+    if _takes_overrides(parser):
+        arguments, changes = _split_overrides(arguments)
+    try:
+        parsed, rest = parser.parse_known_args(arguments)
+    except SystemExit:  # argparse's way to end after --help
+        return 0
+    _refuse_unknown(rest, parser)
+    parsed.overrides = _overrides(changes)
     check_device(parsed.device)
-    if parsed.json is not None and not parsed.json.parent.is_dir():
-        raise ValueError(f"--json {parsed.json}: the folder {parsed.json.parent} does not exist.")
+    if parsed.json is not None:
+        check_output(parsed.json, folder=False)
+        if not parsed.json.parent.is_dir():
+            raise ValueError(
+                f"--json {parsed.json}: the folder {parsed.json.parent} does not exist."
+            )
     if parsed.threads is not None:
         if parsed.threads < 1:
             raise ValueError(f"--threads must be >= 1, got {parsed.threads}.")
@@ -77,7 +85,9 @@ def check_device(device: str) -> None:
         raise ValueError("--device cuda: PyTorch finds no CUDA device here; use --device cpu.")
 
 
-def progress_bar(arguments: argparse.Namespace, *, total: float, unit: str, text: str) -> tqdm:
+def progress_bar(
+    arguments: argparse.Namespace, *, total: float | int, unit: str, text: str
+) -> tqdm:
     """A progress bar on stderr, silent with --quiet."""
     return tqdm(
         total=total, unit=unit, desc=text, disable=arguments.quiet, file=sys.stderr, leave=False
@@ -107,14 +117,20 @@ def print_table(
     Console(soft_wrap=True).print(table)
 
 
-def existing_outputs(*paths: Path) -> Callable[[], None]:
-    """Make the folders of output files."""
+def check_output(path: Path, *, folder: bool) -> Path:
+    """Refuse an output that cannot be written, before any work is done for it.
 
-    def make() -> None:
-        for path in paths:
-            path.parent.mkdir(parents=True, exist_ok=True)
-
-    return make
+    Args:
+        path: File or folder to write.
+        folder: Whether it is to be a folder.
+    """
+    if path.exists() and path.is_dir() != folder:
+        kind, other = ("folder", "file") if folder else ("file", "folder")
+        raise ValueError(f"{path} is to be a {kind}, but there is a {other} of that name.")
+    above = next((parent for parent in path.parents if parent.exists()), None)
+    if above is not None and not above.is_dir():
+        raise ValueError(f"{path} cannot be made: {above} is a file, not a folder.")
+    return path
 
 
 def _add_common(parser: argparse.ArgumentParser) -> None:
@@ -126,22 +142,52 @@ def _add_common(parser: argparse.ArgumentParser) -> None:
 
 
 def _natural(text: str) -> int:
-    value = int(text)
+    value = int(text) if text.isdecimal() else -1
     if not 0 <= value < 2**31:
         raise argparse.ArgumentTypeError(f"must be a whole number from 0 to 2147483647, got {text}")
     return value
 
 
-def _overrides(rest: list[str], parser: argparse.ArgumentParser) -> dict[str, Any]:
-    """Nested values from ``--group.field value`` pairs."""
-    result: dict[str, Any] = {}
-    words = [part for word in rest for part in (word.split("=", 1) if "=" in word else [word])]
-    if len(words) % 2 or any(not key.startswith("--") for key in words[::2]):
+def _options(parser: argparse.ArgumentParser) -> list[str]:
+    return [option for action in parser._actions for option in action.option_strings]
+
+
+def _takes_overrides(parser: argparse.ArgumentParser) -> bool:
+    return "--config" in _options(parser)
+
+
+def _refuse_unknown(rest: list[str], parser: argparse.ArgumentParser) -> None:
+    """Name the option that is nearest to an unknown one."""
+    for word in rest:
+        option = word.split("=", 1)[0]
+        if option.startswith("--") and "." not in option:
+            raise ValueError(f"there is no option {option!r}. {nearest(option, _options(parser))}")
+    if rest:
         raise ValueError(f"unrecognised arguments: {' '.join(rest)}. See '{parser.prog} --help'.")
-    for key, text in zip(words[::2], words[1::2], strict=True):
-        if "." not in key:
-            options = [option for action in parser._actions for option in action.option_strings]
-            raise ValueError(f"there is no option {key!r}. {nearest(key, options)}")
+
+
+def _split_overrides(arguments: list[str]) -> tuple[list[str], list[tuple[str, str]]]:
+    """Part ``--group.field value`` and ``--group.field=value`` from the other arguments.
+
+    argparse does not know these options and would take their values for the name of a preset.
+    """
+    others, changes, words = [], [], iter(arguments)
+    for word in words:
+        key, equals, value = word.partition("=")
+        if not key.startswith("--") or "." not in key:
+            others.append(word)
+            continue
+        text = value if equals else next(words, None)
+        if text is None or text.startswith("--"):
+            raise ValueError(f"{key} needs a value.")
+        changes.append((key, text))
+    return others, changes
+
+
+def _overrides(changes: list[tuple[str, str]]) -> dict[str, Any]:
+    """Nested values from dotted names and YAML texts."""
+    result: dict[str, Any] = {}
+    for key, text in changes:
         try:
             value = yaml.safe_load(text)
         except yaml.YAMLError:

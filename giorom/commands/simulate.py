@@ -5,7 +5,13 @@ import os
 from pathlib import Path
 from typing import Any
 
-from giorom.commands.shared import add_experiment, chosen_experiment, progress_bar, say
+from giorom.commands.shared import (
+    add_experiment,
+    check_output,
+    chosen_experiment,
+    progress_bar,
+    say,
+)
 from giorom.generate import generate
 
 
@@ -25,6 +31,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     jobs = os.cpu_count() or 1 if arguments.jobs is None else arguments.jobs
     if jobs < 1:
         raise ValueError(f"--jobs must be >= 1, got {jobs}.")
+    check_output(arguments.out, folder=True)
     experiment = chosen_experiment(arguments)
     with progress_bar(
         arguments, total=arguments.trajectories, unit="trajectory", text="simulate"

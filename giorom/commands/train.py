@@ -4,7 +4,13 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from giorom.commands.shared import add_experiment, chosen_experiment, progress_bar, say
+from giorom.commands.shared import (
+    add_experiment,
+    check_output,
+    chosen_experiment,
+    progress_bar,
+    say,
+)
 from giorom.experiment import train
 from giorom.training.loop import Budget
 
@@ -22,13 +28,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
     """Train within the budget and store the best simulator in ``OUT/simulator``."""
     budget = Budget(steps=arguments.max_steps, minutes=arguments.max_minutes)
+    check_output(arguments.out, folder=True)
     experiment = chosen_experiment(arguments)
     with progress_bar(arguments, total=100.0, unit="%", text="read data") as bar:
         bar.bar_format = "{desc}: {percentage:3.0f}% |{bar}| {elapsed}<{remaining} {postfix}"
 
         def report(stage: str, numbers: dict[str, Any]) -> None:
+            if arguments.quiet:
+                return
             if stage == "note":
-                bar.write(numbers["text"]) if not arguments.quiet else None
+                bar.write(numbers["text"])
                 return
             if bar.desc != stage:
                 bar.reset(total=100.0)
