@@ -58,11 +58,11 @@ def test_unknown_preset_offers_the_nearest_name():
 @pytest.mark.parametrize(
     ("place", "near"),
     [
-        (("trainning",), "training"),
+        (("traiming",), "training"),
         (("training", "learning_rat"), "learning_rate"),
         (("scene", "spaceing"), "spacing"),
         (("time_stepper", "override"), "overrides"),
-        (("time_stepper", "overrides", "hiden"), "hidden"),
+        (("time_stepper", "overrides", "hiddn"), "hidden"),
     ],
 )
 def test_unknown_key_names_the_nearest_at_every_depth(tiny_values, tmp_path, place, near):

@@ -132,7 +132,7 @@ def test_weights_of_another_shape_are_refused(stored):
         (lambda record: record.update(format_version=2), "format version 2"),
         (lambda record: record.pop("format_version"), "format version None"),
         (lambda record: record.update(shape=1), "no field 'shape'"),
-        (lambda record: record["time_stepper"].update(hiden=1), "'hidden'"),
+        (lambda record: record["time_stepper"].update(hiddn=1), "'hidden'"),
         (lambda record: record.update(dimension="three"), "dimension"),
         (lambda record: record.pop("graph"), "graph"),
         (lambda record: record["graph"].update(radius=None), "radius must be set"),
