@@ -79,7 +79,10 @@ def _card(
 ) -> str:
     """The model card."""
     config = simulator.config
-    rows = [f"| | {scores['sparse_points']} samples | {scores['points']} particles |", "|---|---|---|"]
+    rows = [
+        f"| | {scores['sparse_points']} samples | {scores['points']} particles |",
+        "|---|---|---|",
+    ]
     for label, key in SCORES:
         values = [scores[where].get(key) for where in ("sparse", "full")]
         shown = ["" if value is None else f"{value:.3g}" for value in values]
