@@ -1,10 +1,11 @@
 """A training run from data set to stored simulator: field first, then time-stepper."""
 
 import json
+import math
 import shutil
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -139,11 +140,10 @@ def padded_bounds(trajectories: list[Trajectory], *, turned: bool) -> list[list[
     high = torch.stack([t.position.amax(dim=(0, 1)) for t in trajectories]).amax(dim=0)
     if turned:
         center = trajectories[0].bounds.mean(dim=1)
-        reach = torch.maximum(center - low, high - center)
-        if len(reach) == 3:
-            reach[0] = reach[2] = torch.maximum(reach[0], reach[2])
-            low[2], high[2] = center[2] - reach[2], center[2] + reach[2]
-        low[0], high[0] = center[0] - reach[0], center[0] + reach[0]
+        level = [axis for axis in range(len(center)) if axis != 1]
+        distances = [(t.position - center)[..., level].norm(dim=2).max() for t in trajectories]
+        reach = torch.stack(distances).max()
+        low[level], high[level] = center[level] - reach, center[level] + reach
     pad = 0.1 * (high - low)
     return torch.stack([low - pad, high + pad], dim=1).tolist()
 
@@ -219,9 +219,11 @@ def train(
     data = load_training_data(experiment, data_folder)
     report("note", {"text": str(data.choice)})
     simulator = build_simulator(experiment, data)
-    _prepare_folder(out, simulator, resume=resume)
+    validate = _validation(experiment, data, connect=simulator.connect, device=device)
+    _prepare_folder(out, _identity(experiment, simulator.config, seed=seed), resume=resume)
     _train_field(simulator, experiment, data, out=out, budget=budget, seed=seed, report=report)
-    if simulator.config.time_stepper.input_skip and not resume:
+    interrupted = resume and (out / "checkpoints").is_dir()
+    if simulator.config.time_stepper.input_skip and not interrupted:
         fit_input_skip(simulator, data.windows, experiment.training, seed=seed)
     simulator.to(device)
     training = StepperTraining(
@@ -232,9 +234,8 @@ def train(
         seed=seed,
         folder=out,
     )
-    if resume and (out / "checkpoints").is_dir():
+    if interrupted:
         training.resume()
-    validate = _validation(experiment, data, connect=simulator.connect, device=device)
     run = train_stepper(
         training,
         budget,
@@ -242,6 +243,11 @@ def train(
         keep=lambda best: _keep(simulator, best, out),
         report=lambda numbers: report("time_stepper", numbers),
     )
+    if not math.isfinite(run.best):
+        raise FloatingPointError(
+            f"every validation rollout diverged, so {out} holds no simulator. Continue it with "
+            f"--resume and a larger budget, or lower TrainingConfig.learning_rate."
+        )
     stepper = simulator.dynamics.time_stepper
     return {
         "steps": run.step,
@@ -354,6 +360,11 @@ def _validation(
         )
     shortest = min(sampled.motion.frame_count for sampled in data.validation)
     frames = min(experiment.training.validation_frames, shortest - history)
+    if frames < 1:
+        raise ValueError(
+            f"a validation rollout needs {history} given frames and one more, but the shortest "
+            f"validation trajectory has {frames + history}. Simulate more frames."
+        )
     batch = concatenate_windows(
         [window_at(sampled, 0, history=history, future=frames) for sampled in data.validation]
     )
@@ -378,9 +389,9 @@ def _keep(simulator: Simulator, best: nn.Module, out: Path) -> None:
     simulator.dynamics.load_state_dict(current)
 
 
-def _prepare_folder(out: Path, simulator: Simulator, *, resume: bool) -> None:
+def _prepare_folder(out: Path, identity: dict[str, Any], *, resume: bool) -> None:
     """Begin a run in an empty folder, or continue the same run in its own."""
-    record = json.dumps(_identity(simulator.config), sort_keys=True)
+    record = json.dumps(identity, sort_keys=True)
     known = out / "run.json"
     if known.is_file():
         if not resume:
@@ -401,11 +412,14 @@ def _prepare_folder(out: Path, simulator: Simulator, *, resume: bool) -> None:
     known.write_text(record)
 
 
-def _identity(config: SimulatorConfig) -> dict[str, Any]:
+def _identity(experiment: Experiment, config: SimulatorConfig, *, seed: int) -> dict[str, Any]:
     """What has to stay the same when a run is resumed."""
-    from dataclasses import asdict
-
-    return json.loads(json.dumps(asdict(config)))
+    return {
+        "simulator": asdict(config),
+        "training": asdict(experiment.training),
+        "field_training": asdict(experiment.field_training),
+        "seed": seed,
+    }
 
 
 def _check_match(experiment: Experiment, metadata: dict[str, Any], folder: Path) -> None:

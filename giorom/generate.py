@@ -9,6 +9,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from torch import Tensor
+
 from giorom.config import Experiment
 from giorom.data.trajectory_file import iterate_trajectories, read_metadata
 from giorom.data.work_folder import (
@@ -79,7 +81,7 @@ def generate(
         "solver": asdict(experiment.solver),
     }
     # The first scene is drawn here, so that a scene that cannot be drawn leaves nothing behind.
-    draw_scene(experiment.scene, seed=seed * 1_000_000, shape=shape)
+    body = draw_scene(experiment.scene, seed=seed * 1_000_000, shape=shape).position
     open_work_folder(folder, identity=identity)
     done = set(finished_parts(folder))
     todo = [
@@ -100,7 +102,7 @@ def generate(
         raise SimulationError(f"no trajectory could be simulated; the first: {failed[0]['reason']}")
     seconds = time.perf_counter() - start
     metadata = assemble_dataset(
-        folder, radius=_default_radius(experiment), splits=split_parts(parts)
+        folder, radius=_default_radius(experiment, body), splits=split_parts(parts)
     )
     first = next(iterate_trajectories(folder, "train"))
     return {
@@ -155,10 +157,9 @@ def _finish(
     return job.index, None, float(trajectory.position.shape[1] * steps)
 
 
-def _default_radius(experiment: Experiment) -> float:
-    """Graph radius for the metadata: what the first body asks for [m]."""
+def _default_radius(experiment: Experiment, start: Tensor) -> float:
+    """Graph radius for the metadata: what the body ``start`` asks for [m]."""
     if experiment.graph.radius is not None:
         return experiment.graph.radius
-    start = draw_scene(experiment.scene, seed=0).position
     samples = start[sample(start, experiment.sampling)]
     return choose_radius(samples, start, margin=experiment.graph.margin).radius

@@ -83,6 +83,29 @@ class SimulatorConfig:
     solver: SolverConfig
     """Simulator that made its training data: the referee."""
 
+    def __post_init__(self) -> None:
+        """Reject parts that do not fit together."""
+        found = {
+            "bounds": len(self.bounds),
+            "normalization": len(self.normalization.velocity_std),
+            "time_stepper.dimension": self.time_stepper.dimension,
+            "scene.dimension": self.scene.dimension,
+        }
+        for name, dimension in found.items():
+            if dimension != self.dimension:
+                raise ValueError(
+                    f"SimulatorConfig.dimension is {self.dimension}, but {name} is made for "
+                    f"{dimension}. All parts need the same one."
+                )
+        widths = (self.time_stepper.node_width, self.time_stepper.edge_width)
+        features = self.features
+        wanted = (features.node_width(self.dimension), features.edge_width(self.dimension))
+        if widths != wanted:
+            raise ValueError(
+                f"the features have {wanted} channels per node and edge, but "
+                f"SimulatorConfig.time_stepper takes {widths}. Both come from the same training."
+            )
+
 
 class Simulator(nn.Module):
     """Time-stepper and neural field with all they need to run.
@@ -113,9 +136,18 @@ class Simulator(nn.Module):
     def sample(
         self, position: Float[Tensor, "p d"], *, count: int | None = None
     ) -> Int[Tensor, " q"]:
-        """Stage 2: which particles are simulated; ``count`` overrides the trained reduction."""
+        """Stage 2: which particles are simulated; ``count`` overrides the trained reduction.
+
+        Raises:
+            ValueError: If ``count`` is below one or above the number of particles.
+        """
         config = self.config.sampling
         if count is not None:
+            if not 1 <= count <= len(position):
+                raise ValueError(
+                    f"the number of samples must lie between 1 and the {len(position)} particles "
+                    f"of the body, got {count}."
+                )
             config = dataclasses.replace(config, reduction=None, count=count)
         return sample(position, config)
 
@@ -255,9 +287,11 @@ def pretrained_names() -> list[str]:
 
 def _read_config(path: Path) -> SimulatorConfig:
     try:
-        record: dict[str, Any] = json.loads(path.read_text())
+        record: Any = json.loads(path.read_text())
     except (OSError, ValueError) as error:
         raise ValueError(f"{path} is not readable JSON ({error}). Copy the model again.") from None
+    if not isinstance(record, dict):
+        raise ValueError(f"{path} must hold a JSON object. Copy the model again.")
     found = record.pop("format_version", None)
     if not isinstance(found, int) or not 1 <= found <= FORMAT_VERSION:
         raise ValueError(

@@ -92,16 +92,18 @@ def _card(
         [
             f"# {name}",
             "",
-            f"System {config.system}, {config.dimension}-D, a frame every {1e3 * config.frame_dt:g} ms;"
-            f" {trained['parameters']} + {trained['field_parameters']} parameters (time-stepper and "
-            f"field); {steps} on {trained['threads']} CPU thread(s), seed {trained['seed']}.",
+            f"System {config.system}, {config.dimension}-D, a frame every "
+            f"{1e3 * config.frame_dt:g} ms; {trained['parameters']} + "
+            f"{trained['field_parameters']} parameters (time-stepper and field); {steps} on "
+            f"{trained['threads']} CPU thread(s), seed {trained['seed']}.",
             "",
             "Made by",
             "",
             *[f"    {command}" for command in commands],
             "",
-            f"Means over {scores['trajectories']} held-out trajectories of {scores['frames']} frames, "
-            f"{scores['diverged']} diverged; MSE in m^2 (squared distance, summed over axes).",
+            f"Means over {scores['trajectories']} held-out trajectories of {scores['frames']} "
+            f"frames, {scores['diverged']} diverged; MSE in m^2 (squared distance, summed over "
+            f"axes).",
             "",
             *rows,
             "",

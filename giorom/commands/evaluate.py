@@ -48,8 +48,9 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     summary = summarize(results, system=simulator.config.system)
     summary |= {"split": arguments.split, "giorom": __version__, "seed": arguments.seed}
     _print(arguments, summary)
-    if arguments.pretrained is None:
-        write_json(pretrained_directory(name).parent / "metrics.json", summary)
+    run_folder = pretrained_directory(name).parent
+    if (run_folder / "run.json").is_file():
+        write_json(run_folder / "metrics.json", summary)
     return summary
 
 

@@ -49,6 +49,7 @@ def replacing_folder(folder: Path) -> Iterator[Path]:
     folder.parent.mkdir(parents=True, exist_ok=True)
     temporary = folder.with_name(f".{folder.name}.{os.getpid()}.tmp")
     earlier = folder.with_name(f".{folder.name}.{os.getpid()}.old")
+    shutil.rmtree(temporary, ignore_errors=True)
     temporary.mkdir()
     try:
         yield temporary
@@ -59,6 +60,8 @@ def replacing_folder(folder: Path) -> Iterator[Path]:
         os.replace(temporary, folder)
         _flush(folder.parent)
     finally:
+        if earlier.exists() and not folder.exists():
+            os.replace(earlier, folder)
         shutil.rmtree(temporary, ignore_errors=True)
         shutil.rmtree(earlier, ignore_errors=True)
 

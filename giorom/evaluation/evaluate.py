@@ -92,9 +92,17 @@ def evaluate_trajectory(
 
     Returns:
         ``sparse`` and ``full`` scores, sizes, and the frame of divergence, if any.
+
+    Raises:
+        ValueError: If the trajectory has no frame to predict.
     """
     history = simulator.config.features.history
     available = trajectory.frame_count - history
+    if available < 1:
+        raise ValueError(
+            f"the model starts from {history} given frames and needs one more to compare, but the "
+            f"trajectory has {trajectory.frame_count}. Use longer trajectories."
+        )
     frames = available if frames is None else min(frames, available)
     samples = simulator.sample(trajectory.position[0])
     state = start_from_trajectory(trajectory, samples, history=history)
@@ -162,7 +170,12 @@ def summarize(results: list[dict[str, Any]], *, system: str) -> dict[str, Any]:
     Args:
         results: One entry of ``evaluate_trajectory`` per trajectory.
         system: Name of the physical system.
+
+    Raises:
+        ValueError: If there is no result.
     """
+    if not results:
+        raise ValueError("there is no trajectory to score; choose a split that holds some.")
     sound = [result for result in results if result["diverged_at"] is None]
     summary: dict[str, Any] = {
         "system": system,
@@ -207,6 +220,6 @@ def _trivial(state: SparseState, frames: int, gravity: Tensor) -> dict[str, Tens
 
 def _gravity(trajectory: Trajectory) -> Tensor:
     """Gravity of the scene [m/s^2]; axis 1 points up."""
-    gravity = torch.zeros(trajectory.position.shape[2])
+    gravity = trajectory.position.new_zeros(trajectory.position.shape[2])
     gravity[1] = -float(trajectory.attributes.get("gravity", 9.8))
     return gravity

@@ -28,7 +28,7 @@ def free_fall(
 
 
 def _ballistic(state: SparseState, frames: int, gravity: Tensor) -> Float[Tensor, "t q d"]:
-    step = torch.arange(1, frames + 1, dtype=state.position.dtype)[:, None, None]
+    step = torch.arange(1, frames + 1).to(state.position)[:, None, None]
     time = step * state.frame_dt
     fall = 0.5 * gravity * time * (time + state.frame_dt)
     position = state.position + state.velocity * time + fall

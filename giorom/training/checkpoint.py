@@ -6,7 +6,6 @@ random state and counters.
 """
 
 import json
-import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -17,6 +16,8 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from torch import Tensor
 
+from giorom.data.atomic import replacing_folder
+
 CHECKPOINT_PREFIX = "step-"
 
 
@@ -24,29 +25,15 @@ class CheckpointError(ValueError):
     """A checkpoint cannot be used; the message says why."""
 
 
-def write_directory(path: Path, fill: Callable[[Path], None]) -> None:
+def write_directory(path: Path, fill: Callable[[Path], object]) -> None:
     """Create the directory ``path`` with what ``fill`` writes, or leave the old one.
 
     Args:
         path: Directory to create or replace.
         fill: Writes the contents into the directory it is given.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    retired = path.with_name(f".{path.name}.{os.getpid()}.old")
-    shutil.rmtree(temporary, ignore_errors=True)
-    temporary.mkdir()
-    try:
+    with replacing_folder(path) as temporary:
         fill(temporary)
-        for file in temporary.iterdir():
-            with file.open("rb") as handle:
-                os.fsync(handle.fileno())
-        if path.exists():
-            path.rename(retired)
-        temporary.rename(path)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
-        shutil.rmtree(retired, ignore_errors=True)
 
 
 def save_checkpoint(

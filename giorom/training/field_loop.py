@@ -68,7 +68,7 @@ def train_field(
     minutes: float,
     report: Callable[[dict[str, Any]], None],
     turn: bool = False,
-) -> dict[str, float]:
+) -> dict[str, Any]:
     """Fit the basis to the training trajectories.
 
     Args:

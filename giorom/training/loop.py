@@ -18,7 +18,9 @@ from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from giorom.data.windows import StepSampler, Windows, concatenate_windows, step_generator, turn
 from giorom.pipeline import Connect, Dynamics
+from giorom.records import one_line
 from giorom.training.checkpoint import (
+    CheckpointError,
     load_checkpoint,
     load_optimizer_tensors,
     optimizer_tensors,
@@ -177,7 +179,8 @@ class RunState:
     seconds: float = 0.0
     next_validation: float = 0.0
     best: float = math.inf
-    history: list[dict[str, float]] | None = None
+    loss: float = math.nan
+    history: list[dict[str, Any]] | None = None
 
 
 class StepperTraining:
@@ -219,14 +222,24 @@ class StepperTraining:
         self.run = RunState(history=[])
 
     def resume(self) -> None:
-        """Continue from the newest checkpoint of the run."""
+        """Continue from the newest checkpoint of the run.
+
+        Raises:
+            CheckpointError: If there is none, or it is damaged or of another model.
+        """
         tensors, record = load_checkpoint(self.folder / "checkpoints")
         plain = self.accelerator.unwrap_model(self.model)
-        plain.load_state_dict(_below("model.", tensors))
-        self.average.load_state_dict(_below("average.", tensors))
-        load_optimizer_tensors(self.optimizer.optimizer, self.names, tensors)
-        torch.set_rng_state(tensors["random"])
-        self.run = RunState(**record["run"])
+        try:
+            plain.load_state_dict(_below("model.", tensors))
+            self.average.load_state_dict(_below("average.", tensors))
+            load_optimizer_tensors(self.optimizer.optimizer, self.names, tensors)
+            torch.set_rng_state(tensors["random"])
+            self.run = RunState(**record["run"])
+        except (KeyError, RuntimeError, TypeError, ValueError) as error:
+            raise CheckpointError(
+                f"the checkpoint in {self.folder} does not fit this training "
+                f"({one_line(error)[:200]}). Train into another folder."
+            ) from None
 
     def save(self) -> None:
         """Write a checkpoint."""
@@ -299,16 +312,17 @@ def train_stepper(
         first_step=run.step,
     )
     clock = time.perf_counter() - run.seconds
-    loss_mean = math.nan
+    validated = run.step
     for numbers in sampler:
         run.seconds = time.perf_counter() - clock
         progress = budget.progress(run.step, run.seconds)
-        if run.step > 0 and progress >= min(1.0, run.next_validation):
+        if run.step > validated and progress >= min(1.0, run.next_validation):
             run.next_validation = (
                 math.floor(progress * config.validations) + 1
             ) / config.validations
-            _validate(training, validate=validate, keep=keep, loss=loss_mean)
+            _validate(training, validate=validate, keep=keep)
             training.save()
+            validated = run.step
         if progress >= 1.0:
             break
         loss = training.train_step(numbers, progress=progress)
@@ -317,9 +331,9 @@ def train_stepper(
                 f"the training loss is {loss} at step {run.step}. Lower "
                 f"TrainingConfig.learning_rate ({config.learning_rate:g}) and train again."
             )
-        loss_mean = loss if math.isnan(loss_mean) else 0.99 * loss_mean + 0.01 * loss
+        run.loss = loss if math.isnan(run.loss) else 0.99 * run.loss + 0.01 * loss
         run.step += 1
-        report({"loss": loss_mean, "progress": progress, "rollout_mse": run.best, "step": run.step})
+        report({"loss": run.loss, "progress": progress, "rollout_mse": run.best, "step": run.step})
     return run
 
 
@@ -328,14 +342,14 @@ def _validate(
     *,
     validate: Callable[[nn.Module], dict[str, float]],
     keep: Callable[[nn.Module], None],
-    loss: float,
 ) -> None:
-    """Score the averaged model, log it, keep it if it is the best so far."""
+    """Score the averaged model, log it, keep it if it is the best so far; JSON has no infinity."""
     run = training.run
     training.average.module.eval()
     scores = validate(training.average.module)
     training.average.module.train()
-    entry = {"step": run.step, "seconds": run.seconds, "loss": loss, **scores}
+    known = {name: value if math.isfinite(value) else None for name, value in scores.items()}
+    entry = {"step": run.step, "seconds": run.seconds, "loss": run.loss, **known}
     run.history = [*(run.history or []), entry]
     append_log(training.folder / "log.jsonl", {"stage": "time_stepper", **entry})
     if scores["rollout_mse"] < run.best:
