@@ -28,8 +28,8 @@ def free_fall(
 
 
 def _ballistic(state: SparseState, frames: int, gravity: Tensor) -> Float[Tensor, "t q d"]:
-    step = torch.arange(1, frames + 1, dtype=state.position.dtype)[:, None, None]
-    time = step * state.frame_dt
+    step = torch.arange(1, frames + 1, dtype=state.position.dtype, device=state.position.device)
+    time = step[:, None, None] * state.frame_dt
     fall = 0.5 * gravity * time * (time + state.frame_dt)
     position = state.position + state.velocity * time + fall
     position = torch.clamp(position, state.bounds[:, 0], state.bounds[:, 1])
