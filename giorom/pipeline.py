@@ -76,11 +76,12 @@ def connect_within(radius: float, *, configuration: str) -> Connect:
     return connect_once if configuration == "reference" else connect
 
 
-@torch.no_grad()
 def rollout(
     state: SparseState, frames: int, *, connect: Connect, acceleration: Acceleration
 ) -> Iterator[SparseState]:
     """Simulate the samples: graph, network, integration, frame after frame.
+
+    No gradients are recorded.
 
     Args:
         state: Initial sparse state.
@@ -98,8 +99,9 @@ def rollout(
         arXiv:2407.03925v2, Algorithm 1.
     """
     for frame in range(frames):
-        edges = connect(state)
-        state = advance(state, acceleration(state, edges))
+        with torch.no_grad():
+            edges = connect(state)
+            state = advance(state, acceleration(state, edges))
         if not bool(torch.isfinite(state.position).all()):
             raise FloatingPointError(
                 f"the rollout is no longer finite at frame {frame + 1} of {frames}: the "
