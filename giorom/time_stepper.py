@@ -366,6 +366,7 @@ class TimeStepper(nn.Module):
         if config.input_skip:
             self.input_skip = nn.Linear(config.node_width, config.dimension, bias=False)
             nn.init.zeros_(self.input_skip.weight)
+            nn.init.zeros_(self.node_out.layers[-1].weight)  # start as the linear map alone
 
     def forward(self, features: Features) -> Float[Tensor, "q d"]:
         """Predict accelerations.

@@ -43,7 +43,7 @@ def sampled(frames: list[int], **options: int) -> list[SampledTrajectory]:
         body = motion(count, seed=seed, **options)
         batch = torch.zeros(body.position.shape[1], dtype=torch.long)
         edges = radius_edges(body.position[0], batch, 0.4)
-        result.append(SampledTrajectory(motion=body, edges=edges))
+        result.append(SampledTrajectory(motion=body, reference=body.position[0], edges=edges))
     return result
 
 

@@ -36,14 +36,16 @@ class Verdict:
     """The keys of ``giorom demo --json``."""
 
 
-def judge(simulator: Simulator, scene: Scene, *, frames: int, sparse_points: int) -> Verdict:
+def judge(
+    simulator: Simulator, scene: Scene, *, frames: int, sparse_points: int | None = None
+) -> Verdict:
     """Simulate ``scene`` with both and compare.
 
     Args:
         simulator: The surrogate.
         scene: Body and initial velocity.
         frames: Frames after the initial one.
-        sparse_points: Number of samples.
+        sparse_points: Number of samples; by default the trained reduction.
     """
     samples = simulator.sample(scene.position, count=sparse_points)
     sparse, predicted, seconds = _timed_rollout(simulator, scene, samples, frames)
