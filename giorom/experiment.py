@@ -15,19 +15,38 @@ from torch import Tensor, nn
 from giorom.config import Experiment
 from giorom.data.statistics import Statistics
 from giorom.data.trajectory_file import iterate_trajectories, read_metadata
-from giorom.data.windows import SampledTrajectory, Windows, sample_trajectories
+from giorom.data.windows import (
+    SampledTrajectory,
+    Windows,
+    concatenate_windows,
+    sample_trajectories,
+    step_generator,
+    window_at,
+)
 from giorom.evaluation.metrics import squared_error_per_frame
 from giorom.evaluation.rollout import roll_out
+from giorom.features import compute_features
 from giorom.graph import RadiusChoice, choose_radius
+from giorom.integrate import finite_differences
 from giorom.normalization import Normalization
-from giorom.pipeline import Connect, start_from_trajectory
+from giorom.pipeline import Connect
 from giorom.sampling import sample
 from giorom.simulator import Simulator, SimulatorConfig
-from giorom.state import SparseState, Trajectory, concatenate_states
+from giorom.state import SparseState, Trajectory
 from giorom.training.checkpoint import write_directory
 from giorom.training.field_loop import thin, train_field
-from giorom.training.loop import Budget, StepperTraining, append_log, train_stepper
+from giorom.training.loop import (
+    Budget,
+    StepperTraining,
+    TrainingConfig,
+    append_log,
+    train_stepper,
+)
+from giorom.training.noise import add_random_walk
 from giorom.version import __version__
+
+SKIP_WINDOWS = 512
+"""Windows the linear part of the time-stepper is fitted to."""
 
 RADIUS_BODIES = 16
 """Training bodies whose connectivity decides the graph radius."""
@@ -71,14 +90,20 @@ def load_training_data(experiment: Experiment, folder: Path) -> TrainingData:
     full = list(iterate_trajectories(folder, "train"))
     choice = choose_common_radius(full, experiment)
     reference = choice.radius if experiment.graph.configuration == "reference" else None
+    past = experiment.features.velocities if training.straight_past else 0
     sampled = sample_trajectories(
-        full, experiment.sampling, subsets=training.subsets, reference_radius=reference
+        full,
+        experiment.sampling,
+        subsets=training.subsets,
+        reference_radius=reference,
+        past=past,
     )
     validation = sample_trajectories(
         iterate_trajectories(folder, "valid"),
         experiment.sampling,
         subsets=1,
         reference_radius=reference,
+        past=past,
     )
     return TrainingData(
         metadata=metadata,
@@ -197,6 +222,9 @@ def train(
     validate = _validation(experiment, data, connect=simulator.connect, device=device)
     _prepare_folder(out, _identity(experiment, simulator.config, seed=seed), resume=resume)
     _train_field(simulator, experiment, data, out=out, budget=budget, seed=seed, report=report)
+    interrupted = resume and (out / "checkpoints").is_dir()
+    if simulator.config.time_stepper.input_skip and not interrupted:
+        fit_input_skip(simulator, data.windows, experiment.training, seed=seed)
     simulator.to(device)
     training = StepperTraining(
         simulator.dynamics,
@@ -206,7 +234,7 @@ def train(
         seed=seed,
         folder=out,
     )
-    if resume and (out / "checkpoints").is_dir():
+    if interrupted:
         training.resume()
     run = train_stepper(
         training,
@@ -235,6 +263,53 @@ def train(
         "giorom": __version__,
         "history": run.history,
     }
+
+
+def fit_input_skip(
+    simulator: Simulator, windows: Windows, config: TrainingConfig, *, seed: int
+) -> float:
+    """Start the linear part of the time-stepper as the best linear predictor of its input.
+
+    Args:
+        simulator: The simulator, changed in place.
+        windows: Training windows.
+        config: Training noise.
+        seed: Seed of the drawn windows and of the noise.
+
+    Returns:
+        Share of the variance of the training accelerations that the linear part explains.
+    """
+    dynamics, inputs, outputs = simulator.dynamics, [], []
+    for draw in range(SKIP_WINDOWS):
+        generator = step_generator(seed + 2, draw)
+        number = int(torch.randint(len(windows), (), generator=generator))
+        window = windows[number]
+        state = add_random_walk(window.state, config.noise_std, generator=generator)
+        edges = window.edges if window.edges is not None else simulator.connect(state)
+        features = compute_features(
+            state,
+            edges,
+            dynamics.features,
+            normalization=dynamics.normalization,
+            radius=dynamics.radius,
+        )
+        target = finite_differences(
+            window.target[:, 0] + state.position - window.state.position,
+            state.position,
+            state.history[:, -2],
+            frame_dt=state.frame_dt,
+        )
+        free = ~state.kinematic
+        inputs.append(features.node[free].double())
+        outputs.append(dynamics.normalization.acceleration(target)[free].double())
+    matrix, wanted = torch.cat(inputs), torch.cat(outputs)
+    normal = matrix.T @ matrix
+    normal += 1e-6 * normal.diagonal().mean() * torch.eye(len(normal), dtype=normal.dtype)
+    weight = torch.linalg.solve(normal, matrix.T @ wanted)
+    with torch.no_grad():
+        dynamics.time_stepper.input_skip.weight.copy_(weight.T)
+    error = (matrix @ weight - wanted).square().sum()
+    return 1.0 - float(error / wanted.square().sum())
 
 
 def _train_field(
@@ -278,26 +353,23 @@ def _validation(
 ) -> Callable[[nn.Module], dict[str, float]]:
     """A function that rolls the held-out trajectories out and scores them."""
     history = experiment.features.history
-    members = [sampled.motion for sampled in data.validation]
-    if not members:
+    if not data.validation:
         raise ValueError(
             "the data set has no validation trajectory; make at least three trajectories so that "
             "one can be held out."
         )
-    frames = min(
-        experiment.training.validation_frames, min(m.frame_count for m in members) - history
-    )
+    shortest = min(sampled.motion.frame_count for sampled in data.validation)
+    frames = min(experiment.training.validation_frames, shortest - history)
     if frames < 1:
         raise ValueError(
             f"a validation rollout needs {history} given frames and one more, but the shortest "
             f"validation trajectory has {frames + history}. Simulate more frames."
         )
-    states = [
-        start_from_trajectory(m, torch.arange(m.position.shape[1]), history=history)
-        for m in members
-    ]
-    state: SparseState = concatenate_states(states).to(device)
-    truth: Tensor = torch.cat([m.position[history : history + frames] for m in members], dim=1)
+    batch = concatenate_windows(
+        [window_at(sampled, 0, history=history, future=frames) for sampled in data.validation]
+    )
+    state: SparseState = batch.state.to(device)
+    truth: Tensor = batch.target.transpose(0, 1)
 
     def validate(model: nn.Module) -> dict[str, float]:
         result = roll_out(state, frames, connect=connect, acceleration=model)

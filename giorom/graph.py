@@ -92,9 +92,10 @@ class RadiusChoice:
     def __str__(self) -> str:
         """One line for a log."""
         return (
-            f"graph radius {self.radius:.4f} m = {self.margin:g} x {self.smallest:.4f} m, the "
-            f"smallest that keeps the {self.components} component(s) of the full graph (its own "
-            f"radius {self.full_radius:.4f} m); {self.mean_degree:.1f} neighbours per sample"
+            f"graph radius {self.radius:.4f} m = {self.margin:g} x "
+            f"{max(self.smallest, self.full_radius):.4f} m: {self.smallest:.4f} m is the smallest "
+            f"that keeps the {self.components} component(s) of the full graph, whose "
+            f"radius is {self.full_radius:.4f} m; {self.mean_degree:.1f} neighbours per sample"
         )
 
 
@@ -155,8 +156,13 @@ def smallest_radius(position: Float[Tensor, "q d"], components: int) -> float:
         components: Wanted number of components, at least one.
 
     Returns:
-        The radius [m]; 0 if there are no more particles than components.
+        The radius [m], rounded up; 0 if there are no more particles than components.
+
+    Raises:
+        ValueError: If ``components`` is less than one.
     """
+    if components < 1:
+        raise ValueError(f"components must be >= 1, got {components!r}; no radius gives fewer.")
     points = position.detach().cpu().double().numpy()
     needed = len(points) - components
     if needed <= 0:
@@ -165,7 +171,8 @@ def smallest_radius(position: Float[Tensor, "q d"], components: int) -> float:
     while True:
         tree = minimum_spanning_tree(_distance_graph(points, radius))
         if tree.nnz >= needed:
-            return float(np.sort(tree.data)[needed - 1])
+            # Rounded up: the square of a rounded length may fall short of the squared distance.
+            return float(np.sort(tree.data)[needed - 1]) * (1.0 + 1e-12)
         radius *= 2.0
 
 
@@ -185,10 +192,18 @@ def choose_radius(
         full_radius: Radius of the full graph [m]; by default twice the median distance to the
             nearest neighbour.
 
+    Raises:
+        ValueError: If ``full`` has a single particle and no radius is given.
+
     Source:
         arXiv:2407.03925v2, section 5.2 (equal number of components); the closed form is ours.
     """
     if full_radius is None:
+        if full.shape[0] < 2:
+            raise ValueError(
+                "a body of one particle has no neighbour to choose a graph radius from. Set the "
+                "radius."
+            )
         points = full.detach().cpu().double().numpy()
         full_radius = 2.0 * float(np.median(cKDTree(points).query(points, k=2)[0][:, 1]))
     components = component_count(full, full_radius)

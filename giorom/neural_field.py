@@ -96,6 +96,9 @@ class SampleSolver:
     Args:
         basis: U at the samples.
         ridge: Regularisation, relative to the mean of the diagonal of the normal matrix.
+
+    Raises:
+        ValueError: If the samples do not determine the coefficients.
     """
 
     def __init__(self, basis: Float[Tensor, "q d r"], *, ridge: float) -> None:
@@ -104,10 +107,12 @@ class SampleSolver:
         strength = ridge * normal.diagonal().mean()
         identity = torch.eye(normal.shape[0], dtype=normal.dtype, device=normal.device)
         factor, failed = torch.linalg.cholesky_ex(normal + strength * identity)
-        if int(failed) != 0:
+        rounding = normal.shape[0] * torch.finfo(normal.dtype).eps * normal.diagonal()
+        if int(failed) != 0 or bool((factor.diagonal().square() <= rounding).any()):
             raise ValueError(
-                f"{basis.shape[0]} samples do not determine {basis.shape[2]} modes (Cholesky "
-                f"failed at row {int(failed)}). Sample more points or use fewer modes."
+                f"{basis.shape[0]} samples do not determine {basis.shape[2]} modes: the normal "
+                f"matrix is singular. Sample more points, use fewer modes or raise "
+                f"NeuralFieldConfig.ridge ({ridge:g})."
             )
         self.factor = factor
 

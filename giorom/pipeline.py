@@ -81,6 +81,8 @@ def rollout(
 ) -> Iterator[SparseState]:
     """Simulate the samples: graph, network, integration, frame after frame.
 
+    No gradients are recorded.
+
     Args:
         state: Initial sparse state.
         frames: Number of frames to add.

@@ -116,6 +116,10 @@ class TimeStepperConfig:
     dropout: float = 0.0
     """Dropout on the attention outputs (the official code uses 0.3)."""
 
+    input_skip: bool = False
+    """Add a linear map of each particle's own features to its output: with the newest changes of
+    velocity among them, a linear multistep predictor that the network corrects."""
+
     projection_layers: int = 1
     """Linear layers between grid and particle features."""
 
@@ -358,6 +362,11 @@ class TimeStepper(nn.Module):
         )
         self.latent = LatentBranch(config) if config.latent else None
         self.node_out = MLP([*hidden, config.dimension], **options)
+        self.input_skip = None
+        if config.input_skip:
+            self.input_skip = nn.Linear(config.node_width, config.dimension, bias=False)
+            nn.init.zeros_(self.input_skip.weight)
+            nn.init.zeros_(self.node_out.layers[-1].weight)  # start as the linear map alone
 
     def forward(self, features: Features) -> Float[Tensor, "q d"]:
         """Predict accelerations.
@@ -383,7 +392,12 @@ class TimeStepper(nn.Module):
             node = node + self.latent(node, features)
         for layer in self.after:
             node, edge = layer(node, edge, neighborhood)
-        return self.node_out(node)
+        acceleration = self.node_out(node)
+        if self.input_skip is None:
+            return acceleration
+        # Differences of nearly equal terms: never in less than single precision.
+        with torch.autocast(features.node.device.type, enabled=False):
+            return acceleration.to(features.node.dtype) + self.input_skip(features.node)
 
     def coverage(self, features: Features) -> Float[Tensor, ""]:
         """Share of the particles the latent grid reaches; one without a grid.

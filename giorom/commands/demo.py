@@ -32,25 +32,32 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
         raise ValueError(f"--frames must be >= 1, got {arguments.frames}.")
     check_output(arguments.out, folder=True)
     simulator = Simulator.from_pretrained(arguments.pretrained)
-    scene = _scene(arguments, simulator)
-    if arguments.sparse is not None and not 1 <= arguments.sparse <= len(scene.position):
+    scene, trained_count = _scene(arguments, simulator)
+    sparse = trained_count if arguments.sparse is None else arguments.sparse
+    if not 1 <= sparse <= len(scene.position):
         raise ValueError(
             f"--sparse must lie between 1 and the {len(scene.position)} particles of the body, got "
-            f"{arguments.sparse}."
+            f"{sparse}."
         )
-    verdict = judge(simulator, scene, frames=arguments.frames, sparse_points=arguments.sparse)
+    verdict = judge(simulator, scene, frames=arguments.frames, sparse_points=sparse)
     _print(arguments, verdict.scores)
     files = _write(arguments, verdict)
     return verdict.scores | {"files": [str(path) for path in files]}
 
 
-def _scene(arguments: argparse.Namespace, simulator: Simulator) -> Scene:
+def _scene(arguments: argparse.Namespace, simulator: Simulator) -> tuple[Scene, int]:
+    """The scene, and how many samples the model would take of the body at the trained spacing.
+
+    A model is at home at one distance between samples; more particles do not change it.
+    """
     config = simulator.config.scene
     scene = draw_scene(config, seed=arguments.seed, shape=arguments.shape)
+    count = simulator.config.sampling.sample_count(len(scene.position))
     if arguments.points is None:
-        return scene
+        return scene, count
     finer = scene_with_points(config, points=arguments.points, found=len(scene.position))
-    return draw_scene(finer, seed=arguments.seed, shape=arguments.shape)
+    scene = draw_scene(finer, seed=arguments.seed, shape=arguments.shape)
+    return scene, min(count, len(scene.position))
 
 
 def _write(arguments: argparse.Namespace, verdict: Verdict) -> list[Path]:

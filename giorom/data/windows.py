@@ -22,7 +22,10 @@ class SampledTrajectory:
     """The samples of one trajectory."""
 
     motion: Trajectory
-    """Motion of the samples alone."""
+    """Motion of the samples alone, an extrapolated past included."""
+
+    reference: Float[Tensor, "q d"]
+    """Positions in the undeformed body [m]."""
 
     edges: Edges | None
     """Graph of the undeformed body, where the graph is fixed."""
@@ -55,6 +58,7 @@ def sample_trajectories(
     *,
     subsets: int,
     reference_radius: float | None,
+    past: int = 0,
 ) -> list[SampledTrajectory]:
     """Sample each trajectory ``subsets`` times.
 
@@ -64,19 +68,28 @@ def sample_trajectories(
         subsets: Different samples per trajectory; the first is the one that use would take.
         reference_radius: Radius of a graph that is fixed in the undeformed body [m]; none where
             the graph follows the current positions.
+        past: Frames to put before the first one, extrapolated straight from the first two: how a
+            scene starts from a shape and a velocity.
     """
     result = []
     for trajectory in trajectories:
         for subset in range(subsets):
             seed = None if subset == 0 else subset
             motion = trajectory.subset(sample(trajectory.position[0], config, seed=seed))
-            motion = replace(motion, position=motion.position.clone())
+            reference = motion.position[0].clone()
             edges = None
             if reference_radius is not None:
-                batch = torch.zeros(motion.position.shape[1], dtype=torch.long)
-                edges = radius_edges(motion.position[0], batch, reference_radius)
-            result.append(SampledTrajectory(motion=motion, edges=edges))
+                batch = torch.zeros(len(reference), dtype=torch.long)
+                edges = radius_edges(reference, batch, reference_radius)
+            motion = replace(motion, position=with_straight_past(motion.position, past))
+            result.append(SampledTrajectory(motion=motion, reference=reference, edges=edges))
     return result
+
+
+def with_straight_past(position: Float[Tensor, "t q d"], frames: int) -> Float[Tensor, "s q d"]:
+    """Positions with ``frames`` frames of uniform motion put before the first [m]."""
+    steps = torch.arange(-frames, 0, dtype=position.dtype)[:, None, None]
+    return torch.cat([position[0] + steps * (position[1] - position[0]), position])
 
 
 class Windows(torch.utils.data.Dataset):
@@ -110,7 +123,7 @@ class Windows(torch.utils.data.Dataset):
         which = int(torch.searchsorted(self.end, number, right=True))
         start = number - (int(self.end[which - 1]) if which else 0)
         sampled = self.trajectories[which]
-        return _window(sampled, start, history=self.history, future=self.future)
+        return window_at(sampled, start, history=self.history, future=self.future)
 
 
 def concatenate_windows(windows: list[WindowBatch]) -> WindowBatch:
@@ -181,16 +194,21 @@ class StepSampler(torch.utils.data.Sampler[list[int]]):
 
 
 def step_generator(seed: int, step: int) -> torch.Generator:
-    """The random numbers of one training step."""
-    return torch.Generator().manual_seed((seed << 32) + step)
+    """The random numbers of one training step.
+
+    Torch reads the low 32 bits of a seed alone. Steps of a golden section of that range keep the
+    steps of a thousand consecutive seeds apart for a million steps each.
+    """
+    return torch.Generator().manual_seed((seed * 0x9E3779B1 + step) % 2**32)
 
 
-def _window(sampled: SampledTrajectory, start: int, *, history: int, future: int) -> WindowBatch:
+def window_at(sampled: SampledTrajectory, start: int, *, history: int, future: int) -> WindowBatch:
+    """The window whose oldest frame is ``start``."""
     motion = sampled.motion
     positions = motion.position[start : start + history + future].transpose(0, 1).contiguous()
     state = SparseState(
         history=positions[:, :history],
-        reference=motion.position[0],
+        reference=sampled.reference,
         particle_type=motion.particle_type,
         batch=torch.zeros(len(positions), dtype=torch.long),
         batch_size=1,

@@ -36,7 +36,9 @@ class Verdict:
     """The keys of ``giorom demo --json``."""
 
 
-def judge(simulator: Simulator, scene: Scene, *, frames: int, sparse_points: int | None) -> Verdict:
+def judge(
+    simulator: Simulator, scene: Scene, *, frames: int, sparse_points: int | None = None
+) -> Verdict:
     """Simulate ``scene`` with both and compare.
 
     Args:

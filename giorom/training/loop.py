@@ -75,6 +75,10 @@ class TrainingConfig:
     turn: bool = False
     """Turn and mirror scenes at random; sound where the side walls are out of reach."""
 
+    straight_past: bool = False
+    """Let windows begin at the first frame, their past extrapolated straight; a model that is
+    started from a shape and a velocity has to know such beginnings."""
+
     isotropic: bool = False
     """One velocity and one acceleration scale for all axes, no offset."""
 

@@ -1,0 +1,146 @@
+"""Put a trained simulator into the package, with its card and its line in the index.
+
+    python tools/publish_model.py NAME RUN --train train.json --evaluate metrics.json \
+        --command "giorom simulate ..." --command "giorom train ..."
+
+The numbers of the card are those of the JSON files that ``giorom train --json`` and
+``giorom evaluate --json`` wrote; nothing is typed by hand.
+"""
+
+import argparse
+import json
+import platform
+import shutil
+import sys
+from pathlib import Path
+from typing import Any
+
+from giorom.simulator import PRETRAINED, Simulator
+from giorom.training.checkpoint import write_directory
+
+SIZE_LIMIT = 5_000_000
+"""Largest model file of the package [bytes]."""
+
+SCORES = (
+    ("one-step MSE", "one_step_mse"),
+    ("rollout MSE", "rollout_mse"),
+    ("rollout MSE without the given frames", "rollout_mse_without_seed_frames"),
+    ("standard deviation of the rollout MSE over trajectories", "rollout_mse_std"),
+    ("projection floor", "projection_floor_mse"),
+    ("constant velocity", "constant_velocity_mse"),
+    ("free fall", "free_fall_mse"),
+    ("holding still", "static_mse"),
+    ("relative displacement error", "relative_displacement_error"),
+    ("predicted over true amplitude", "amplitude_ratio"),
+    ("displacement correlation", "displacement_correlation"),
+)
+
+
+def main() -> int:
+    """Copy, check, write card and index."""
+    arguments = _parse()
+    simulator = Simulator.from_pretrained(arguments.run)
+    trained = json.loads(arguments.train.read_text())
+    scores = json.loads(arguments.evaluate.read_text())
+    target = PRETRAINED / arguments.name
+
+    def fill(directory: Path) -> None:
+        simulator.save_pretrained(directory)
+        card = _card(arguments.name, simulator, trained, scores, arguments.command)
+        (directory / "README.md").write_text(card)
+        shutil.copy(arguments.evaluate, directory / "metrics.json")
+        (directory / "training.json").write_text(json.dumps(trained | _machine(), indent=1) + "\n")
+
+    write_directory(target, fill)
+    size = (target / "model.safetensors").stat().st_size
+    if size > SIZE_LIMIT:
+        sys.stderr.write(f"{target} has {size} bytes of weights, more than {SIZE_LIMIT}.\n")
+        return 2
+    _update_index(arguments.name, size, scores, arguments.command)
+    return 0
+
+
+def _parse() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("name")
+    parser.add_argument("run", type=Path)
+    parser.add_argument("--train", type=Path, required=True)
+    parser.add_argument("--evaluate", type=Path, required=True)
+    parser.add_argument("--command", action="append", default=[])
+    return parser.parse_args()
+
+
+def _card(
+    name: str,
+    simulator: Simulator,
+    trained: dict[str, Any],
+    scores: dict[str, Any],
+    commands: list[str],
+) -> str:
+    """The model card."""
+    config = simulator.config
+    rows = [
+        f"| | {scores['sparse_points']} samples | {scores['points']} particles |",
+        "|---|---|---|",
+    ]
+    for label, key in SCORES:
+        values = [scores[where].get(key) for where in ("sparse", "full")]
+        shown = ["" if value is None else f"{value:.3g}" for value in values]
+        rows.append(f"| {label} | {shown[0]} | {shown[1]} |")
+    steps = f"{trained['steps']} steps in {trained['seconds'] / 60.0:.0f} minutes"
+    return "\n".join(
+        [
+            f"# {name}",
+            "",
+            f"System {config.system}, {config.dimension}-D, a frame every "
+            f"{1e3 * config.frame_dt:g} ms; {trained['parameters']} + "
+            f"{trained['field_parameters']} parameters (time-stepper and field); {steps} on "
+            f"{trained['threads']} CPU thread(s), seed {trained['seed']}.",
+            "",
+            "Made by",
+            "",
+            *[f"    {command}" for command in commands],
+            "",
+            f"Means over {scores['trajectories']} held-out trajectories of {scores['frames']} "
+            f"frames, {scores['diverged']} diverged; MSE in m^2 (squared distance, summed over "
+            f"axes).",
+            "",
+            *rows,
+            "",
+            "Trained on synthetic data of the package's own simulator. MIT licence.",
+            "",
+        ]
+    )
+
+
+def _machine() -> dict[str, str]:
+    """What the numbers were made on."""
+    return {"python": platform.python_version(), "processor": platform.machine()}
+
+
+def _update_index(name: str, size: int, scores: dict[str, Any], commands: list[str]) -> None:
+    """Replace the model's entry in ``index.json``."""
+    path = PRETRAINED / "index.json"
+    index = json.loads(path.read_text()) if path.is_file() else {"models": []}
+    full = scores["full"]
+    entry = {
+        "name": name,
+        "system": scores["system"],
+        "points": scores["points"],
+        "sparse_points": scores["sparse_points"],
+        "bytes": size,
+        "one_step_mse": full["one_step_mse"],
+        "rollout_mse": scores["sparse"]["rollout_mse"],
+        "full_rollout_mse": full["rollout_mse"],
+        "constant_velocity_mse": full["constant_velocity_mse"],
+        "static_mse": full["static_mse"],
+        "paper_rollout_mse": None,
+        "commands": commands,
+    }
+    others = [model for model in index["models"] if model["name"] != name]
+    index["models"] = sorted([*others, entry], key=lambda model: model["name"])
+    path.write_text(json.dumps(index, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    sys.exit(main())
