@@ -16,7 +16,14 @@ import torch
 from torch import Tensor, nn
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
-from giorom.data.windows import StepSampler, Windows, concatenate_windows, step_generator, turn
+from giorom.data.windows import (
+    StepSampler,
+    WindowBatch,
+    Windows,
+    concatenate_windows,
+    step_generator,
+    turn,
+)
 from giorom.pipeline import Connect, Dynamics
 from giorom.records import one_line
 from giorom.training.checkpoint import (
@@ -26,8 +33,38 @@ from giorom.training.checkpoint import (
     optimizer_tensors,
     save_checkpoint,
 )
-from giorom.training.loss import unrolled_loss
+from giorom.training.loss import unrolled_loss, weak_loss
 from giorom.training.noise import add_random_walk
+
+
+@dataclass(frozen=True, kw_only=True)
+class WeakFormConfig:
+    """Training on true states with the equation of motion averaged in time (``weak_loss``)."""
+
+    half_width: int = 16
+    """Half width m of the hat function [frames]; about a quarter of the slowest period."""
+
+    stride: int = 4
+    """Frames between evaluations of the model, a divisor of ``half_width``."""
+
+    weight: float = 10.0
+    """Weight of the averaged error against that at single frames."""
+
+    until: float = 0.7
+    """Share of the budget at which unrolled training takes over."""
+
+    def __post_init__(self) -> None:
+        """Reject windows that cannot be divided."""
+        if self.stride < 1 or self.half_width < 1 or self.half_width % self.stride:
+            raise ValueError(
+                f"WeakFormConfig.stride must be >= 1 and divide half_width, got "
+                f"stride={self.stride!r} and half_width={self.half_width!r}."
+            )
+        if not self.weight >= 0.0 or not 0.0 < self.until <= 1.0:
+            raise ValueError(
+                f"WeakFormConfig needs weight >= 0 and until in (0, 1], got weight="
+                f"{self.weight!r} and until={self.until!r}."
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,6 +105,9 @@ class TrainingConfig:
     unroll: list[list[float]] | None = None
     """Stages [share of the budget at which it begins, frames per window]; null: one frame (the
     paper)."""
+
+    weak: WeakFormConfig | None = None
+    """Train on the equation of motion averaged in time at first; null: never."""
 
     subsets: int = 8
     """Different samples of each trajectory."""
@@ -128,7 +168,8 @@ class TrainingConfig:
     @property
     def longest_unroll(self) -> int:
         """Frames after the current one that a window must hold."""
-        return max([1, *(int(frames) for _, frames in self.unroll or [])])
+        weak = 0 if self.weak is None else 2 * self.weak.half_width
+        return max([1, weak, *(int(frames) for _, frames in self.unroll or [])])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -260,19 +301,10 @@ class StepperTraining:
         config = self.config
         generator = step_generator(self.seed + 1, self.run.step)
         batch = concatenate_windows([self.windows[number] for number in numbers])
-        batch = replace(batch, target=batch.target[:, : config.unrolled_frames(progress)])
         if config.turn:
             batch = turn(batch, generator=generator)
-        noisy = add_random_walk(batch.state, config.noise_std, generator=generator)
-        device = self.accelerator.device
         with self.accelerator.autocast():
-            loss = unrolled_loss(
-                self.accelerator.unwrap_model(self.model),
-                noisy.to(device),
-                batch.to(device),
-                connect=self.connect,
-                position_weight=config.position_weight,
-            )
+            loss = self._loss(batch, generator, progress=progress)
         rate = learning_rate(config, step=self.run.step, progress=progress)
         for group in self.optimizer.param_groups:
             group["lr"] = rate
@@ -282,6 +314,30 @@ class StepperTraining:
         self.optimizer.step()
         self.average.update_parameters(self.accelerator.unwrap_model(self.model))
         return float(loss.detach())
+
+    def _loss(self, batch: WindowBatch, generator: torch.Generator, *, progress: float) -> Tensor:
+        """The loss of the stage of training that ``progress`` falls into."""
+        config, device = self.config, self.accelerator.device
+        model = self.accelerator.unwrap_model(self.model)
+        weak = config.weak
+        if weak is not None and progress < weak.until:
+            batch = replace(batch, target=batch.target[:, : 2 * weak.half_width])
+            return weak_loss(
+                model,
+                batch.to(device),
+                connect=self.connect,
+                stride=weak.stride,
+                weight=weak.weight,
+            )
+        batch = replace(batch, target=batch.target[:, : config.unrolled_frames(progress)])
+        noisy = add_random_walk(batch.state, config.noise_std, generator=generator)
+        return unrolled_loss(
+            model,
+            noisy.to(device),
+            batch.to(device),
+            connect=self.connect,
+            position_weight=config.position_weight,
+        )
 
 
 def train_stepper(
