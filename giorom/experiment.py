@@ -223,7 +223,7 @@ def train(
     _prepare_folder(out, _identity(experiment, simulator.config, seed=seed), resume=resume)
     _train_field(simulator, experiment, data, out=out, budget=budget, seed=seed, report=report)
     interrupted = resume and (out / "checkpoints").is_dir()
-    if simulator.config.time_stepper.input_skip and not interrupted:
+    if simulator.config.time_stepper.input_skip != "none" and not interrupted:
         fit_input_skip(simulator, data.windows, experiment.training, seed=seed)
     simulator.to(device)
     training = StepperTraining(

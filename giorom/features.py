@@ -20,6 +20,9 @@ from giorom.state import SparseState
 DISPLACEMENT_GAIN = 10.0
 """Brings the displacement of an edge, about a tenth of its length, to order one."""
 
+REST_POSITION_GAIN = 0.2
+"""Brings places in a body, some radii from its base, to order one."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class FeatureConfig:
@@ -38,6 +41,11 @@ class FeatureConfig:
     displacement: bool = False
     """Add the displacement of each particle from the undeformed body (for clamped solids)."""
 
+    rest_shape: bool = False
+    """Add the place of each particle in the undeformed body, seen from the middle of the clamped
+    region (of the body, where nothing is clamped), and the second moments of the body about it:
+    how stiff a body is as a whole depends on its proportions."""
+
     rest_edges: bool = False
     """Add each edge in the undeformed body, its displacement and its stretch (for solids)."""
 
@@ -53,7 +61,9 @@ class FeatureConfig:
 
     def node_width(self, dimension: int) -> int:
         """Channels per node."""
-        return dimension * (self.velocities + 2 * self.walls + self.displacement)
+        width = dimension * (self.velocities + 2 * self.walls + self.displacement)
+        shape = dimension + dimension * (dimension + 1) // 2
+        return width + (shape if self.rest_shape else 0)
 
     def edge_width(self, dimension: int) -> int:
         """Channels per edge."""
@@ -122,6 +132,8 @@ def compute_features(
         node.append(torch.cat([low, high], dim=1).clamp(-1.0, 1.0))
     if config.displacement:
         node.append((state.position - state.reference) / radius * DISPLACEMENT_GAIN)
+    if config.rest_shape:
+        node += _shape_features(state, radius)
     edge = [_relative(state.position, edges, radius)]
     if config.rest_edges:
         edge += _rest_features(state, edges, radius, edge[0])
@@ -145,6 +157,28 @@ def _velocity_features(
     newest = normalization.velocity(velocity[:, -1:])
     change = normalization.acceleration(velocity.diff(dim=1) / state.frame_dt)
     return torch.cat([change, newest], dim=1).flatten(1)
+
+
+def _shape_features(state: SparseState, radius: float) -> list[Tensor]:
+    """Rest position from the base, and the second moments of the body about it, on each node."""
+    position = (state.reference - _base(state)) / radius * REST_POSITION_GAIN
+    rows, columns = torch.triu_indices(position.shape[1], position.shape[1])
+    products = position[:, rows] * position[:, columns]
+    count = torch.bincount(state.batch, minlength=state.batch_size).to(position.dtype)
+    moments = position.new_zeros(state.batch_size, products.shape[1])
+    moments = moments.index_add(0, state.batch, products) / count[:, None]
+    return [position, moments[state.batch]]
+
+
+def _base(state: SparseState) -> Tensor:
+    """Middle of the clamped region of each particle's scene, or of its body without one [m]."""
+    weight = state.kinematic.to(state.reference.dtype)
+    clamped = weight.new_zeros(state.batch_size).index_add(0, state.batch, weight)
+    weight = torch.where(clamped[state.batch] > 0.0, weight, torch.ones_like(weight))
+    total = weight.new_zeros(state.batch_size).index_add(0, state.batch, weight)
+    moment = state.reference.new_zeros(state.batch_size, state.reference.shape[1])
+    moment = moment.index_add(0, state.batch, weight[:, None] * state.reference)
+    return (moment / total[:, None])[state.batch]
 
 
 def _relative(position: Tensor, edges: Edges, radius: float) -> Tensor:

@@ -116,9 +116,10 @@ class TimeStepperConfig:
     dropout: float = 0.0
     """Dropout on the attention outputs (the official code uses 0.3)."""
 
-    input_skip: bool = False
-    """Add a linear map of each particle's own features to its output: with the newest changes of
-    velocity among them, a linear multistep predictor that the network corrects."""
+    input_skip: Literal["none", "linear", "gated"] = "none"
+    """Add a linear map of each particle's own features to its output: ``linear``, one for all
+    particles; ``gated``, one more that the network chooses for each particle, so that a force
+    can be a displacement times a stiffness that depends on the surroundings."""
 
     projection_layers: int = 1
     """Linear layers between grid and particle features."""
@@ -194,6 +195,7 @@ class TimeStepperConfig:
             "node_skip": ("none", "linear"),
             "gno_kernel": ("relative", "official"),
             "gate_input": ("coords", "features"),
+            "input_skip": ("none", "linear", "gated"),
         }
         for name, allowed in choices.items():
             value = getattr(self, name)
@@ -361,9 +363,10 @@ class TimeStepper(nn.Module):
             for count in (config.layers_before, config.layers_after)
         )
         self.latent = LatentBranch(config) if config.latent else None
-        self.node_out = MLP([*hidden, config.dimension], **options)
+        gates = config.node_width if config.input_skip == "gated" else 0
+        self.node_out = MLP([*hidden, config.dimension * (1 + gates)], **options)
         self.input_skip = None
-        if config.input_skip:
+        if config.input_skip != "none":
             self.input_skip = nn.Linear(config.node_width, config.dimension, bias=False)
             nn.init.zeros_(self.input_skip.weight)
             nn.init.zeros_(self.node_out.layers[-1].weight)  # start as the linear map alone
@@ -397,7 +400,17 @@ class TimeStepper(nn.Module):
             return acceleration
         # Differences of nearly equal terms: never in less than single precision.
         with torch.autocast(features.node.device.type, enabled=False):
-            return acceleration.to(features.node.dtype) + self.input_skip(features.node)
+            return self._skipped(acceleration.to(features.node.dtype), features.node)
+
+    def _skipped(
+        self, output: Float[Tensor, "q o"], node: Float[Tensor, "q c"]
+    ) -> Float[Tensor, "q d"]:
+        """Network output plus the linear maps of the node features."""
+        acceleration = output[:, : self.config.dimension] + self.input_skip(node)
+        if self.config.input_skip == "gated":
+            gate = output[:, self.config.dimension :].unflatten(1, (self.config.dimension, -1))
+            acceleration = acceleration + torch.einsum("qdc,qc->qd", gate, node)
+        return acceleration
 
     def coverage(self, features: Features) -> Float[Tensor, ""]:
         """Share of the particles the latent grid reaches; one without a grid.
