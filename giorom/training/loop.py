@@ -125,8 +125,8 @@ class TrainingConfig:
     average_decay: float = 0.998
     """Decay of the running average of the weights that is validated and kept."""
 
-    precision: Literal["float32", "bfloat16"] = "float32"
-    """Precision of the matrix products."""
+    precision: Literal["auto", "float32", "bfloat16"] = "float32"
+    """Precision of the matrix products; ``auto`` takes bfloat16 where the machine computes it."""
 
     validations: int = 12
     """Validation rollouts over the budget, evenly spaced."""
@@ -250,8 +250,10 @@ class StepperTraining:
 
         self.config, self.windows, self.connect = config, windows, connect
         self.seed, self.folder = seed, folder
-        precision = "bf16" if config.precision == "bfloat16" else "no"
-        self.accelerator = Accelerator(mixed_precision=precision, cpu=_on_cpu(dynamics))
+        on_cpu = next(dynamics.parameters()).device.type == "cpu"
+        wanted = config.precision
+        half = has_bfloat16(on_cpu=on_cpu) if wanted == "auto" else wanted == "bfloat16"
+        self.accelerator = Accelerator(mixed_precision="bf16" if half else "no", cpu=on_cpu)
         self.names = [name for name, _ in dynamics.named_parameters()]
         optimizer = {"adamax": torch.optim.Adamax, "adamw": torch.optim.AdamW}[config.optimizer]
         self.model, self.optimizer = self.accelerator.prepare(
@@ -424,5 +426,8 @@ def _below(prefix: str, tensors: dict[str, Tensor]) -> dict[str, Tensor]:
     return {k.removeprefix(prefix): v for k, v in tensors.items() if k.startswith(prefix)}
 
 
-def _on_cpu(model: nn.Module) -> bool:
-    return next(model.parameters()).device.type == "cpu"
+def has_bfloat16(*, on_cpu: bool) -> bool:
+    """Whether this machine multiplies bfloat16 matrices in hardware."""
+    if on_cpu:
+        return torch.cpu._is_avx512_bf16_supported() or torch.cpu._is_amx_tile_supported()
+    return torch.cuda.is_bf16_supported(including_emulation=False)
