@@ -24,7 +24,7 @@ from giorom.training.loop import TrainingConfig
 
 PRESETS = Path(__file__).parent / "presets"
 
-DERIVED = ("dimension", "node_width", "edge_width", "latent_bounds")
+DERIVED = ("dimension", "node_width", "edge_width", "gate_width", "latent_bounds")
 """Fields of ``TimeStepperConfig`` that follow from features and data."""
 
 
@@ -61,6 +61,7 @@ class StepperChoice:
         values = self.overrides | {
             "node_width": features.node_width(dimension),
             "edge_width": features.edge_width(dimension),
+            "gate_width": features.shape_width(dimension),
         }
         if self.preset == "paper":
             return TimeStepperConfig.paper(dimension, **values)

@@ -20,14 +20,11 @@ from giorom.data.windows import (
     Windows,
     concatenate_windows,
     sample_trajectories,
-    step_generator,
     window_at,
 )
 from giorom.evaluation.metrics import squared_error_per_frame
 from giorom.evaluation.rollout import roll_out
-from giorom.features import compute_features
 from giorom.graph import RadiusChoice, choose_radius
-from giorom.integrate import finite_differences
 from giorom.normalization import Normalization
 from giorom.pipeline import Connect
 from giorom.sampling import sample
@@ -38,15 +35,11 @@ from giorom.training.field_loop import thin, train_field
 from giorom.training.loop import (
     Budget,
     StepperTraining,
-    TrainingConfig,
     append_log,
     train_stepper,
 )
-from giorom.training.noise import add_random_walk
+from giorom.training.skip import fit_skip
 from giorom.version import __version__
-
-SKIP_WINDOWS = 512
-"""Windows the linear part of the time-stepper is fitted to."""
 
 RADIUS_BODIES = 16
 """Training bodies whose connectivity decides the graph radius."""
@@ -223,8 +216,15 @@ def train(
     _prepare_folder(out, _identity(experiment, simulator.config, seed=seed), resume=resume)
     _train_field(simulator, experiment, data, out=out, budget=budget, seed=seed, report=report)
     interrupted = resume and (out / "checkpoints").is_dir()
-    if simulator.config.time_stepper.input_skip != "none" and not interrupted:
-        fit_input_skip(simulator, data.windows, experiment.training, seed=seed)
+    if simulator.dynamics.time_stepper.input_skip is not None and not interrupted:
+        fit_skip(
+            simulator.dynamics,
+            data.windows,
+            experiment.training,
+            seed=seed,
+            minutes=math.inf if budget.minutes is None else budget.minutes / 5.0,
+            report=lambda numbers: report("skip", numbers),
+        )
     simulator.to(device)
     training = StepperTraining(
         simulator.dynamics,
@@ -263,53 +263,6 @@ def train(
         "giorom": __version__,
         "history": run.history,
     }
-
-
-def fit_input_skip(
-    simulator: Simulator, windows: Windows, config: TrainingConfig, *, seed: int
-) -> float:
-    """Start the linear part of the time-stepper as the best linear predictor of its input.
-
-    Args:
-        simulator: The simulator, changed in place.
-        windows: Training windows.
-        config: Training noise.
-        seed: Seed of the drawn windows and of the noise.
-
-    Returns:
-        Share of the variance of the training accelerations that the linear part explains.
-    """
-    dynamics, inputs, outputs = simulator.dynamics, [], []
-    for draw in range(SKIP_WINDOWS):
-        generator = step_generator(seed + 2, draw)
-        number = int(torch.randint(len(windows), (), generator=generator))
-        window = windows[number]
-        state = add_random_walk(window.state, config.noise_std, generator=generator)
-        edges = window.edges if window.edges is not None else simulator.connect(state)
-        features = compute_features(
-            state,
-            edges,
-            dynamics.features,
-            normalization=dynamics.normalization,
-            radius=dynamics.radius,
-        )
-        target = finite_differences(
-            window.target[:, 0] + state.position - window.state.position,
-            state.position,
-            state.history[:, -2],
-            frame_dt=state.frame_dt,
-        )
-        free = ~state.kinematic
-        inputs.append(features.node[free].double())
-        outputs.append(dynamics.normalization.acceleration(target)[free].double())
-    matrix, wanted = torch.cat(inputs), torch.cat(outputs)
-    normal = matrix.T @ matrix
-    normal += 1e-6 * normal.diagonal().mean() * torch.eye(len(normal), dtype=normal.dtype)
-    weight = torch.linalg.solve(normal, matrix.T @ wanted)
-    with torch.no_grad():
-        dynamics.time_stepper.input_skip.weight.copy_(weight.T)
-    error = (matrix @ weight - wanted).square().sum()
-    return 1.0 - float(error / wanted.square().sum())
 
 
 def _train_field(

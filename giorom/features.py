@@ -62,8 +62,13 @@ class FeatureConfig:
     def node_width(self, dimension: int) -> int:
         """Channels per node."""
         width = dimension * (self.velocities + 2 * self.walls + self.displacement)
-        shape = dimension + dimension * (dimension + 1) // 2
-        return width + (shape if self.rest_shape else 0)
+        return width + self.shape_width(dimension)
+
+    def shape_width(self, dimension: int) -> int:
+        """Channels per node, the last ones, that describe the undeformed body."""
+        if not self.rest_shape:
+            return 0
+        return dimension + dimension * (dimension + 1) // 2
 
     def edge_width(self, dimension: int) -> int:
         """Channels per edge."""

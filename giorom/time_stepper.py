@@ -23,6 +23,7 @@ from giorom.layers.latent_grid import LatentGrid
 from giorom.layers.message_passing import MessagePassing, Neighborhood
 from giorom.layers.mlp import MLP, relu
 from giorom.layers.operator_attention import OperatorTransformer
+from giorom.layers.pointwise_skip import PointwiseSkip
 from giorom.state import PARTICLE_TYPE_COUNT
 
 __all__ = ["LatentBranch", "TimeStepper", "TimeStepperConfig"]
@@ -117,9 +118,11 @@ class TimeStepperConfig:
     """Dropout on the attention outputs (the official code uses 0.3)."""
 
     input_skip: Literal["none", "linear", "gated"] = "none"
-    """Add a linear map of each particle's own features to its output: ``linear``, one for all
-    particles; ``gated``, one more that the network chooses for each particle, so that a force
-    can be a displacement times a stiffness that depends on the surroundings."""
+    """Add accelerations from each particle's own features: a linear map, or one that the rest
+    shape of the body chooses as well (``PointwiseSkip``)."""
+
+    gate_width: int = 0
+    """Last channels of ``Features.node``, the rest shape, that choose the gated map."""
 
     projection_layers: int = 1
     """Linear layers between grid and particle features."""
@@ -203,6 +206,12 @@ class TimeStepperConfig:
                 raise ValueError(
                     f"TimeStepperConfig.{name} must be one of {allowed}, got {value!r}."
                 )
+        if self.input_skip == "gated" and not 0 < self.gate_width < self.node_width:
+            raise ValueError(
+                f"TimeStepperConfig.gate_width must be between 0 and node_width="
+                f"{self.node_width} for a gated skip, got {self.gate_width!r}. Switch "
+                f"features.rest_shape on."
+            )
         if not 0.0 <= self.dropout < 1.0:
             raise ValueError(
                 f"TimeStepperConfig.dropout is a share and must be in [0, 1), got "
@@ -363,13 +372,15 @@ class TimeStepper(nn.Module):
             for count in (config.layers_before, config.layers_after)
         )
         self.latent = LatentBranch(config) if config.latent else None
-        gates = config.node_width if config.input_skip == "gated" else 0
-        self.node_out = MLP([*hidden, config.dimension * (1 + gates)], **options)
+        self.node_out = MLP([*hidden, config.dimension], **options)
         self.input_skip = None
         if config.input_skip != "none":
-            self.input_skip = nn.Linear(config.node_width, config.dimension, bias=False)
-            nn.init.zeros_(self.input_skip.weight)
-            nn.init.zeros_(self.node_out.layers[-1].weight)  # start as the linear map alone
+            self.input_skip = PointwiseSkip(
+                config.node_width,
+                config.dimension,
+                gate_width=config.gate_width if config.input_skip == "gated" else 0,
+            )
+            nn.init.zeros_(self.node_out.layers[-1].weight)  # start as the skip alone
 
     def forward(self, features: Features) -> Float[Tensor, "q d"]:
         """Predict accelerations.
@@ -398,19 +409,7 @@ class TimeStepper(nn.Module):
         acceleration = self.node_out(node)
         if self.input_skip is None:
             return acceleration
-        # Differences of nearly equal terms: never in less than single precision.
-        with torch.autocast(features.node.device.type, enabled=False):
-            return self._skipped(acceleration.to(features.node.dtype), features.node)
-
-    def _skipped(
-        self, output: Float[Tensor, "q o"], node: Float[Tensor, "q c"]
-    ) -> Float[Tensor, "q d"]:
-        """Network output plus the linear maps of the node features."""
-        acceleration = output[:, : self.config.dimension] + self.input_skip(node)
-        if self.config.input_skip == "gated":
-            gate = output[:, self.config.dimension :].unflatten(1, (self.config.dimension, -1))
-            acceleration = acceleration + torch.einsum("qdc,qc->qd", gate, node)
-        return acceleration
+        return acceleration.to(features.node.dtype) + self.input_skip(features.node)
 
     def coverage(self, features: Features) -> Float[Tensor, ""]:
         """Share of the particles the latent grid reaches; one without a grid.

@@ -10,7 +10,11 @@ import torch
 
 from giorom.data.statistics import measure_statistics
 from giorom.data.trajectory_file import iterate_trajectories, read_metadata
-from giorom.experiment import fit_normalization, load_training_data, padded_bounds
+from giorom.experiment import (
+    fit_normalization,
+    load_training_data,
+    padded_bounds,
+)
 from giorom.state import Trajectory
 
 

@@ -6,10 +6,16 @@ from itertools import product
 import pytest
 import torch
 
-from giorom.features import DISPLACEMENT_GAIN, FeatureConfig, Features, compute_features
+from giorom.features import (
+    DISPLACEMENT_GAIN,
+    REST_POSITION_GAIN,
+    FeatureConfig,
+    Features,
+    compute_features,
+)
 from giorom.graph import Edges, radius_edges
 from giorom.normalization import Normalization
-from giorom.state import SparseState
+from giorom.state import KINEMATIC, SparseState
 
 RADIUS = 0.5
 ALL = [
@@ -19,9 +25,10 @@ ALL = [
         walls=walls,
         displacement=displacement,
         rest_edges=rest,
+        rest_shape=shape,
     )
-    for velocities, form, walls, displacement, rest in product(
-        (1, 3), ("standardized", "differences"), *[(False, True)] * 3
+    for velocities, form, walls, displacement, rest, shape in product(
+        (1, 3), ("standardized", "differences"), *[(False, True)] * 4
     )
 ]
 UNIT = {2: [[0.0, 1.0]] * 2, 3: [[0.0, 1.0]] * 3}
@@ -236,3 +243,31 @@ def test_the_state_is_left_alone():
     compute(used, FeatureConfig(velocities=2, displacement=True, rest_edges=True))
     assert torch.equal(used.history, kept.history)
     assert torch.equal(used.reference, kept.reference)
+
+
+def test_moments_of_a_rod_are_those_of_the_textbook():
+    """A rod of length L seen from its clamped end has the second moment L^2 / 3 along itself."""
+    count, length = 2001, 0.5
+    reference = torch.zeros(count, 2, dtype=torch.float64)
+    reference[:, 1] = torch.linspace(0.0, length, count, dtype=torch.float64)
+    kind = torch.full((count,), 6)
+    kind[0] = KINEMATIC
+    state = SparseState(
+        history=reference[:, None].repeat(1, 2, 1),
+        reference=reference,
+        particle_type=kind,
+        batch=torch.zeros(count, dtype=torch.long),
+        batch_size=1,
+        bounds=torch.tensor(UNIT[2], dtype=torch.float64),
+        frame_dt=0.25,
+    )
+    config = FeatureConfig(velocities=1, walls=False, rest_shape=True)
+    edges = radius_edges(reference, state.batch, 1e-3)
+    node = compute(state, config, edges).node
+    place, moments = node[:, 2:4], node[:, 4:]
+    gain = REST_POSITION_GAIN / RADIUS
+    torch.testing.assert_close(place[-1], torch.tensor([0.0, gain * length]).double())
+    expected = torch.tensor([0.0, 0.0, gain**2 * length**2 / 3.0]).double()
+    # A sum over points instead of an integral is off by the order of one over their number.
+    torch.testing.assert_close(moments[0], expected, rtol=1e-3, atol=1e-12)
+    torch.testing.assert_close(moments, moments[:1].expand_as(moments), rtol=0.0, atol=0.0)

@@ -171,3 +171,27 @@ def test_unknown_choices_are_refused(name):
     values = {"dimension": 3, "node_width": 21, "edge_width": 4, "latent_bounds": UNIT}
     with pytest.raises((ValueError, TypeError), match=name):
         TimeStepperConfig(**values, **{name: "other"})
+
+
+@pytest.mark.parametrize(("skip", "gate_width"), [("linear", 0), ("gated", 9)])
+def test_a_new_model_with_a_skip_is_its_linear_map(skip, gate_width):
+    """Network and gate start at zero, so only the linear map of the features is left."""
+    model, given = make(node_width=21, input_skip=skip, gate_width=gate_width), features()
+    with torch.no_grad():
+        model.input_skip.linear.weight.normal_()
+    torch.testing.assert_close(model(given), given.node @ model.input_skip.linear.weight.T)
+
+
+def test_a_gate_multiplies_the_moving_channels_with_what_the_shape_chooses():
+    """With only the bias G of the gate set, the output is G n for the first channels n."""
+    model, given = make(node_width=21, input_skip="gated", gate_width=9), features()
+    gate = torch.randn(3, 12, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
+    with torch.no_grad():
+        model.input_skip.gate.layers[-1].bias.copy_(gate.flatten())
+    torch.testing.assert_close(model(given), given.node[:, :12] @ gate.T)
+
+
+def test_a_gate_needs_a_description_of_the_rest_shape():
+    """A gated skip without channels for the gate is refused with the way out."""
+    with pytest.raises(ValueError, match="rest_shape"):
+        make(node_width=21, input_skip="gated")

@@ -232,3 +232,16 @@ def test_turning_leaves_the_batch_alone_and_repeats_with_the_seed():
 def test_free_particles_are_those_that_are_not_kinematic():
     """Losses and metrics count these."""
     assert free_particles(batch(2).state).tolist() == [*range(1, 12), *range(13, 24)]
+
+
+def test_the_past_before_the_first_frame_is_straight():
+    """x_(-k) = x_0 - k (x_1 - x_0), and the reference stays the first true frame."""
+    body = motion(4)
+    config = SamplingConfig(count=12)
+    (result,) = sample_trajectories([body], config, subsets=1, reference_radius=None, past=2)
+    order = sample(body.position[0], config)
+    true = body.position[:, order]
+    torch.testing.assert_close(result.motion.position[2:], true, rtol=0.0, atol=0.0)
+    velocity = true[1] - true[0]
+    torch.testing.assert_close(result.motion.position[0], true[0] - 2.0 * velocity)
+    torch.testing.assert_close(result.reference, true[0], rtol=0.0, atol=0.0)

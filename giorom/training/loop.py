@@ -109,6 +109,9 @@ class TrainingConfig:
     weak: WeakFormConfig | None = None
     """Train on the equation of motion averaged in time at first; null: never."""
 
+    gate_steps: int = 4000
+    """Steps that fit the gate of a gated skip before the whole network is trained."""
+
     subsets: int = 8
     """Different samples of each trajectory."""
 
