@@ -18,6 +18,15 @@ COMMANDS = {
     "models": "list the pretrained models",
 }
 
+EXTRAS = {
+    "warp": "sim",
+    "trimesh": "sim",
+    "pyvista": "render",
+    "imageio": "render",
+    "imageio_ffmpeg": "render",
+}
+"""Which extra of the package brings a module that is missing."""
+
 
 def main(arguments: list[str] | None = None) -> int:
     """Run one command and return its exit code."""
@@ -62,9 +71,7 @@ def _run(name: str, arguments: list[str]) -> int:
         return execute(name, command, arguments, description=COMMANDS[name])
     except ModuleNotFoundError as error:
         missing = (error.name or "").split(".")[0]
-        extra = {"warp": "sim", "trimesh": "sim", "pyvista": "render", "imageio": "render"}.get(
-            missing
-        )
+        extra = EXTRAS.get(missing)
         if extra is None:
             raise
         return _refuse(

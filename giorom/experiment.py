@@ -13,6 +13,7 @@ import torch
 from torch import Tensor, nn
 
 from giorom.config import Experiment
+from giorom.data.atomic import replacing, replacing_folder
 from giorom.data.statistics import Statistics
 from giorom.data.trajectory_file import iterate_trajectories, read_metadata
 from giorom.data.windows import (
@@ -30,7 +31,6 @@ from giorom.pipeline import Connect
 from giorom.sampling import sample
 from giorom.simulator import Simulator, SimulatorConfig
 from giorom.state import SparseState, Trajectory
-from giorom.training.checkpoint import write_directory
 from giorom.training.field_loop import thin, train_field
 from giorom.training.loop import (
     Budget,
@@ -295,9 +295,8 @@ def _train_field(
         turn=experiment.training.turn,
         report=lambda numbers: report("field", numbers),
     )
-    temporary = out / ".field.tmp"
-    save_file(simulator.field.state_dict(), temporary)
-    temporary.replace(done)
+    with replacing(done) as temporary:
+        save_file(simulator.field.state_dict(), temporary)
     append_log(out / "log.jsonl", {"stage": "field", **result})
 
 
@@ -338,7 +337,8 @@ def _keep(simulator: Simulator, best: nn.Module, out: Path) -> None:
     """Store the simulator with the weights of ``best``."""
     current = {k: v.clone() for k, v in simulator.dynamics.state_dict().items()}
     simulator.dynamics.load_state_dict(best.state_dict())
-    write_directory(out / "simulator", simulator.save_pretrained)
+    with replacing_folder(out / "simulator") as directory:
+        simulator.save_pretrained(directory)
     simulator.dynamics.load_state_dict(current)
 
 
@@ -362,7 +362,8 @@ def _prepare_folder(out: Path, identity: dict[str, Any], *, resume: bool) -> Non
         raise ValueError(f"{out} holds no training run to resume. Train without --resume.")
     out.mkdir(parents=True, exist_ok=True)
     shutil.rmtree(out / "checkpoints", ignore_errors=True)
-    known.write_text(record)
+    with replacing(known) as temporary:
+        temporary.write_text(record)
 
 
 def _identity(experiment: Experiment, config: SimulatorConfig, *, seed: int) -> dict[str, Any]:

@@ -6,7 +6,7 @@ edge in the undeformed body, and how far it has been displaced, because elastic 
 the rest shape, which neither velocities nor current positions contain.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal
 
 import torch
@@ -80,7 +80,8 @@ class Features:
     """Everything the network sees of a batch, dimensionless except the position."""
 
     node: Float[Tensor, "q c"]
-    """Velocity history, oldest first with axes fastest; then lower and upper wall distances."""
+    """Velocities, newest last with axes fastest; then the lower and upper wall distances and the
+    displacement, where they are switched on."""
 
     particle_type: Int[Tensor, " q"]
     """GNS particle types."""
@@ -97,7 +98,7 @@ class Features:
     batch: Int[Tensor, " q"]
     """Scene of each particle, ascending."""
 
-    batch_size: int = field(default=1)
+    batch_size: int = 1
     """Number of scenes."""
 
 

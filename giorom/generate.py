@@ -12,7 +12,7 @@ from typing import Any
 from torch import Tensor
 
 from giorom.config import Experiment
-from giorom.data.trajectory_file import iterate_trajectories, read_metadata
+from giorom.data.trajectory_file import SPLITS
 from giorom.data.work_folder import (
     assemble_dataset,
     finished_parts,
@@ -25,6 +25,9 @@ from giorom.mpm import SimulationError, draw_scene, simulate
 from giorom.records import one_line
 from giorom.sampling import sample
 from giorom.state import Trajectory
+
+SCENES_PER_SEED = 1_000_000
+"""Scenes of one data set; sets of different seeds share none below this size."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,7 +63,7 @@ def generate(
         experiment: Scenes and solver.
         folder: The data set; one begun earlier is continued.
         trajectories: Number of trajectories the data set shall hold.
-        seed: Seed of the set; trajectory i uses scene ``seed * 1000000 + i``.
+        seed: Seed of the set; trajectory i uses scene ``seed * SCENES_PER_SEED + i``.
         jobs: Processes (one trajectory each).
         shape: Shape or mesh file in place of the drawn ones.
         device: ``cpu`` or ``cuda``.
@@ -81,11 +84,11 @@ def generate(
         "solver": asdict(experiment.solver),
     }
     # The first scene is drawn here, so that a scene that cannot be drawn leaves nothing behind.
-    body = draw_scene(experiment.scene, seed=seed * 1_000_000, shape=shape).position
+    body = draw_scene(experiment.scene, seed=seed * SCENES_PER_SEED, shape=shape).position
     open_work_folder(folder, identity=identity)
     done = set(finished_parts(folder))
     todo = [
-        Job(index=index, seed=seed * 1_000_000 + index, shape=shape)
+        Job(index=index, seed=seed * SCENES_PER_SEED + index, shape=shape)
         for index in range(trajectories)
         if index not in done
     ]
@@ -104,19 +107,16 @@ def generate(
     metadata = assemble_dataset(
         folder, radius=_default_radius(experiment, body), splits=split_parts(parts)
     )
-    first = next(iterate_trajectories(folder, "train"))
     return {
         "trajectories": len(parts),
         "points": metadata["num_particles_max"],
-        "frames": first.frame_count,
-        "frame_dt": first.frame_dt,
+        "frames": metadata["sequence_length_train"],
+        "frame_dt": metadata["dt"],
         "particle_substeps_per_second": work / seconds if work else None,
         "seconds": seconds,
         "failed": len(failed),
         "failures": failed,
-        "splits": {
-            name: read_metadata(folder)[f"num_trajs_{name}"] for name in ("train", "valid", "test")
-        },
+        "splits": {name: metadata[f"num_trajs_{name}"] for name in SPLITS},
     }
 
 

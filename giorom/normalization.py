@@ -6,7 +6,7 @@ the spread of the training noise is part of it and stays part of it when the mod
 """
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 from jaxtyping import Float
 from torch import Tensor
@@ -14,7 +14,7 @@ from torch import Tensor
 
 @dataclass(frozen=True, kw_only=True)
 class Normalization:
-    """Offsets and scales of velocity, acceleration and displacement."""
+    """Offsets and scales of velocity and acceleration."""
 
     velocity_mean: tuple[float, ...]
     """Mean velocity per axis [m/s]."""
@@ -88,12 +88,3 @@ class Normalization:
         """Acceleration [m/s^2] from the dimensionless one; inverse of ``acceleration``."""
         mean = value.new_tensor(self.acceleration_mean)
         return value * value.new_tensor(self.acceleration_std) + mean
-
-    def to_json(self) -> dict[str, list[float]]:
-        """Plain values for a file."""
-        return {name: list(values) for name, values in asdict(self).items()}
-
-    @classmethod
-    def from_json(cls, record: dict[str, list[float]]) -> "Normalization":
-        """Inverse of ``to_json``."""
-        return cls(**{name: tuple(values) for name, values in record.items()})

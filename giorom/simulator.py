@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
@@ -32,7 +32,7 @@ from giorom.pipeline import (
 )
 from giorom.records import nearest, one_line, parse_record
 from giorom.sampling import SamplingConfig, sample
-from giorom.state import SparseState, Trajectory
+from giorom.state import KINEMATIC, SparseState, Trajectory
 from giorom.time_stepper import TimeStepper, TimeStepperConfig
 from giorom.version import __version__
 
@@ -171,7 +171,11 @@ class Simulator(nn.Module):
         )
 
     def decoder(
-        self, position: Float[Tensor, "p d"], held: Tensor, *, samples: Int[Tensor, " q"]
+        self,
+        position: Float[Tensor, "p d"],
+        held: Bool[Tensor, " p"],
+        *,
+        samples: Int[Tensor, " q"],
     ) -> FieldDecoder:
         """Stage 6 bound to a body and its samples; ``held`` points never move."""
         return FieldDecoder(self.field, position[samples], position, held=held)
@@ -192,7 +196,7 @@ class Simulator(nn.Module):
             frames,
             connect=self.connect,
             acceleration=self.dynamics,
-            decode=self.decoder(position, particle_type == 3, samples=samples),
+            decode=self.decoder(position, particle_type == KINEMATIC, samples=samples),
         )
 
     def rollout(

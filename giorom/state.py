@@ -8,7 +8,7 @@ Axis letters used in every annotation of the package:
 ``q``  sampled (sparse) particles
 ``d``  space dimension, 2 or 3; axis 1 points up
 ``e``  edges of the interaction graph
-``b``  samples of a batch
+``b``  scenes of a batch
 ====== =========================================
 
 Positions are metres, times are seconds. Records are frozen: a stage returns a new one.

@@ -308,7 +308,7 @@ class LatentBranch(nn.Module):
         self._warn_if_blind()
 
     def forward(self, node: Float[Tensor, "q h"], features: Features) -> Float[Tensor, "q h"]:
-        """Exchange information through the grid of each sample.
+        """Exchange information through the grid of each scene.
 
         Args:
             node: Node features.

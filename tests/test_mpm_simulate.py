@@ -2,7 +2,10 @@
 
 import importlib
 import json
+import time
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 import torch
@@ -139,3 +142,23 @@ def test_cuda_and_cpu_agree(config):
     on_cpu = simulate(scene, solver).position
     on_gpu = simulate(scene, solver, device="cuda").position
     torch.testing.assert_close(on_gpu, on_cpu, rtol=0.0, atol=1e-5)
+
+
+def test_compiling_is_not_part_of_the_measured_run(monkeypatch: pytest.MonkeyPatch):
+    """The kernels are there before the clock starts: a cold cache must not slow the solver."""
+    from giorom.mpm import engine
+
+    events, load, clock = [], engine.wp.load_module, time.perf_counter
+
+    def noted_load(*arguments: Any, **options: Any) -> Any:
+        events.append("load")
+        return load(*arguments, **options)
+
+    def noted_clock() -> float:
+        events.append("clock")
+        return clock()
+
+    monkeypatch.setattr(engine.wp, "load_module", noted_load)
+    monkeypatch.setattr(simulate_module, "time", SimpleNamespace(perf_counter=noted_clock))
+    simulate(draw_scene(COARSE, seed=0), replace(SOLVER, frames=2))
+    assert events == ["load", "clock", "clock"]

@@ -1,6 +1,5 @@
 """Scales go in and out; no result in SI units depends on them."""
 
-import json
 import math
 
 import pytest
@@ -78,12 +77,6 @@ def test_scales_nothing_can_be_divided_by_are_refused(name, value):
     """The message names the scale."""
     with pytest.raises(ValueError, match=f"{name} must be finite and > 0"):
         Normalization(**(STATISTICS | {name: (1.0, value)}))
-
-
-def test_a_file_gives_back_the_same_scales():
-    """from_json is the inverse of to_json, through text."""
-    scales = Normalization(**STATISTICS)
-    assert Normalization.from_json(json.loads(json.dumps(scales.to_json()))) == scales
 
 
 def air_drag(scales: Normalization):

@@ -5,14 +5,20 @@ import os
 import pytest
 import torch
 
+from giorom.data.atomic import replacing_folder
 from giorom.training.checkpoint import (
     CheckpointError,
     load_checkpoint,
     load_optimizer_tensors,
     optimizer_tensors,
     save_checkpoint,
-    write_directory,
 )
+
+
+def write_directory(path, fill):
+    """Replace a directory whole."""
+    with replacing_folder(path) as temporary:
+        fill(temporary)
 
 
 def test_failing_fill_leaves_the_old_directory_and_nothing_else(tmp_path):

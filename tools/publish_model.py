@@ -15,8 +15,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from giorom.simulator import PRETRAINED, Simulator
-from giorom.training.checkpoint import write_directory
+from giorom.data.atomic import replacing_folder
+from giorom.simulator import PRETRAINED, Simulator, pretrained_directory
 
 SIZE_LIMIT = 5_000_000
 """Largest model file of the package [bytes]."""
@@ -43,19 +43,19 @@ def main() -> int:
     trained = json.loads(arguments.train.read_text())
     scores = json.loads(arguments.evaluate.read_text())
     target = PRETRAINED / arguments.name
-
-    def fill(directory: Path) -> None:
+    size = (pretrained_directory(arguments.run) / "model.safetensors").stat().st_size
+    if size > SIZE_LIMIT:
+        sys.stderr.write(
+            f"{arguments.run} has {size} bytes of weights; a model of the package may have "
+            f"{SIZE_LIMIT}. Train a smaller network.\n"
+        )
+        return 2
+    with replacing_folder(target) as directory:
         simulator.save_pretrained(directory)
         card = _card(arguments.name, simulator, trained, scores, arguments.command)
         (directory / "README.md").write_text(card)
         shutil.copy(arguments.evaluate, directory / "metrics.json")
         (directory / "training.json").write_text(json.dumps(trained | _machine(), indent=1) + "\n")
-
-    write_directory(target, fill)
-    size = (target / "model.safetensors").stat().st_size
-    if size > SIZE_LIMIT:
-        sys.stderr.write(f"{target} has {size} bytes of weights, more than {SIZE_LIMIT}.\n")
-        return 2
     _update_index(arguments.name, size, scores, arguments.command)
     return 0
 

@@ -6,7 +6,7 @@ from typing import Any
 
 from giorom.commands.shared import print_table, progress_bar
 from giorom.data.atomic import write_json
-from giorom.data.trajectory_file import iterate_trajectories, trajectory_count
+from giorom.data.trajectory_file import SPLITS, iterate_trajectories, trajectory_count
 from giorom.evaluation.evaluate import evaluate_trajectory, summarize
 from giorom.simulator import Simulator, pretrained_directory
 from giorom.version import __version__
@@ -17,7 +17,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("model", nargs="?", help="folder of a training run or of a simulator")
     parser.add_argument("--pretrained", metavar="NAME", help="a model of the package instead")
     parser.add_argument("--data", type=Path, required=True, help="folder of the data set")
-    parser.add_argument("--split", choices=("train", "valid", "test"), default="test")
+    parser.add_argument("--split", choices=SPLITS, default="test")
     parser.add_argument("--frames", type=int, help="frames to predict; by default all")
 
 

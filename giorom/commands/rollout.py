@@ -9,7 +9,7 @@ import torch
 
 from giorom.commands.evaluate import check_trajectory, chosen_model
 from giorom.commands.shared import check_output, say
-from giorom.data.trajectory_file import read_trajectory
+from giorom.data.trajectory_file import SPLITS, read_trajectory
 from giorom.export import check_extension, write_trajectory
 from giorom.mpm import draw_scene
 from giorom.simulator import Simulator
@@ -22,7 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--pretrained", metavar="NAME", help="a model of the package instead")
     parser.add_argument("--shape", help="shape name or closed mesh file")
     parser.add_argument("--data", type=Path, help="data set that holds the initial state")
-    parser.add_argument("--split", choices=("train", "valid", "test"), default="test")
+    parser.add_argument("--split", choices=SPLITS, default="test")
     parser.add_argument("--trajectory", type=int, default=0, help="its number in the data set")
     parser.add_argument("--frames", type=int, required=True, help="frames to simulate")
     parser.add_argument("--sparse", type=int, help="number of samples; by default as trained")

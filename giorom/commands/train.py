@@ -44,8 +44,8 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
                 bar.set_description_str(stage, refresh=False)
             bar.update(100.0 * numbers["progress"] - bar.n)
             shown = {"step": numbers["step"], "loss": f"{numbers['loss']:.3g}"}
-            rate = bar.format_dict["elapsed"]
-            shown["steps/s"] = f"{numbers['step'] / max(rate, 1e-9):.1f}"
+            elapsed = bar.format_dict["elapsed"]
+            shown["steps/s"] = f"{numbers['step'] / max(elapsed, 1e-9):.1f}"
             if "rollout_mse" in numbers:
                 shown["rollout"] = f"{numbers['rollout_mse']:.2e}"
             bar.set_postfix(shown, refresh=False)

@@ -150,9 +150,7 @@ def turn(batch: WindowBatch, *, generator: torch.Generator) -> WindowBatch:
     count, dimension = state.batch_size, state.history.shape[-1]
     matrix = torch.eye(dimension).repeat(count, 1, 1)
     if dimension == 3:
-        angle = 2.0 * math.pi * torch.rand(count, generator=generator)
-        matrix[:, 0, 0] = matrix[:, 2, 2] = angle.cos()
-        matrix[:, 0, 2], matrix[:, 2, 0] = angle.sin(), -angle.sin()
+        matrix = random_turn(count, generator=generator)
     matrix[:, 0] *= 1.0 - 2.0 * torch.randint(2, (count, 1), generator=generator)
     matrix = matrix.to(state.history)[state.batch]
     center = state.bounds.mean(dim=1)
@@ -164,6 +162,20 @@ def turn(batch: WindowBatch, *, generator: torch.Generator) -> WindowBatch:
         state, history=turned(state.history), reference=turned(state.reference[:, None])[:, 0]
     )
     return replace(batch, state=state, target=turned(batch.target))
+
+
+def random_turn(count: int, *, generator: torch.Generator) -> Float[Tensor, "b 3 3"]:
+    """Rotations about the vertical axis 1 by angles that are equally likely.
+
+    Args:
+        count: Number of rotations.
+        generator: Source of the angles.
+    """
+    angle = 2.0 * math.pi * torch.rand(count, generator=generator)
+    matrix = torch.eye(3).repeat(count, 1, 1)
+    matrix[:, 0, 0] = matrix[:, 2, 2] = angle.cos()
+    matrix[:, 0, 2], matrix[:, 2, 0] = angle.sin(), -angle.sin()
+    return matrix
 
 
 class StepSampler(torch.utils.data.Sampler[list[int]]):

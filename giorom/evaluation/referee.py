@@ -96,7 +96,7 @@ def _timed_rollout(
     arguments = (scene.position, scene.velocity, scene.particle_type)
     watch = Stopwatch()
     decoder = watch.timed("upscale", simulator.decoder)(
-        scene.position, scene.particle_type == 3, samples=samples
+        scene.position, scene.kinematic, samples=samples
     )
     decode = watch.timed("upscale", decoder)
     connect = watch.timed("graph", simulator.connect)
@@ -142,7 +142,7 @@ def _compare(
             "static": hold_still(everything, frames),
         },
     ).scores()
-    decode = simulator.decoder(scene.position, scene.particle_type == 3, samples=samples)
+    decode = simulator.decoder(scene.position, scene.kinematic, samples=samples)
     floor = torch.stack([decode(position) for position in truth.position[1:, samples]])
     floor_error = squared_error_per_frame(floor, truth.position[1:])
     result["projection_floor_mse"] = float(floor_error.sum()) / (frames + 1)

@@ -1,6 +1,6 @@
 """The regular grid the neural operator transformer works on, and who is near its nodes.
 
-Every sample of a batch has a grid of its own; the node coordinates are shared. Because the grid
+Every scene of a batch has a grid of its own; the node coordinates are shared. Because the grid
 is regular, the nodes within reach of a particle follow from its position alone: no search, and
 no table of all distances. Positions are metres; ``unit`` coordinates run from 0 to 1.
 """
@@ -24,7 +24,7 @@ class GridPairs:
     """Particle of each pair."""
 
     node: Int[Tensor, " m"]
-    """Node of each pair in the grid of the particle's sample."""
+    """Node of each pair in the grid of the particle's scene."""
 
     relative: Float[Tensor, "m d"]
     """(particle - node) / radius."""
@@ -32,7 +32,7 @@ class GridPairs:
 
 @dataclass(frozen=True, kw_only=True)
 class Tokens:
-    """The grid nodes that are processed, dense per sample."""
+    """The grid nodes that are processed, dense per scene."""
 
     node: Int[Tensor, "#b t"]
     """Node of each token."""
@@ -133,15 +133,15 @@ class LatentGrid:
 
         Args:
             pairs: Particles and nodes in reach.
-            batch: Sample of each particle.
-            batch_size: Number of samples.
-            occupied: Only the nodes some particle of the sample reaches, not all.
+            batch: Scene of each particle.
+            batch_size: Number of scenes.
+            occupied: Only the nodes some particle of the scene reaches, not all.
 
         Returns:
             The tokens.
         """
-        sample, count = batch[pairs.particle], self.node_count
-        flat = sample * count + pairs.node
+        scene, count = batch[pairs.particle], self.node_count
+        flat = scene * count + pairs.node
         if not occupied:
             every = torch.arange(count, device=batch.device)
             return Tokens(node=every[None], slot=flat, mask=None)
@@ -150,12 +150,12 @@ class LatentGrid:
         used = used.view(batch_size, count)
         rank = used.cumsum(dim=1) - 1
         size = int(rank[:, -1].max()) + 1
-        in_sample, of_node = used.nonzero(as_tuple=True)
+        in_scene, of_node = used.nonzero(as_tuple=True)
         node = torch.zeros(batch_size, size, dtype=torch.int64, device=batch.device)
         mask = torch.zeros(batch_size, size, dtype=torch.bool, device=batch.device)
-        at = (in_sample, rank[used])
+        at = (in_scene, rank[used])
         node[at], mask[at] = of_node, True
-        slot = sample * size + rank.view(-1)[flat]
+        slot = scene * size + rank.view(-1)[flat]
         return Tokens(node=node, slot=slot, mask=mask)
 
     def _window(self, device: torch.device) -> Int[Tensor, "w d"]:

@@ -7,7 +7,6 @@ random state and counters.
 
 import json
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -23,17 +22,6 @@ CHECKPOINT_PREFIX = "step-"
 
 class CheckpointError(ValueError):
     """A checkpoint cannot be used; the message says why."""
-
-
-def write_directory(path: Path, fill: Callable[[Path], object]) -> None:
-    """Create the directory ``path`` with what ``fill`` writes, or leave the old one.
-
-    Args:
-        path: Directory to create or replace.
-        fill: Writes the contents into the directory it is given.
-    """
-    with replacing_folder(path) as temporary:
-        fill(temporary)
 
 
 def save_checkpoint(
@@ -55,13 +43,10 @@ def save_checkpoint(
         The new directory.
     """
     path = folder / f"{CHECKPOINT_PREFIX}{step:09d}"
-
-    def fill(directory: Path) -> None:
-        copies = {name: tensor.detach().cpu().clone() for name, tensor in tensors.items()}
+    copies = {name: tensor.detach().cpu().clone() for name, tensor in tensors.items()}
+    with replacing_folder(path) as directory:
         save_file(copies, directory / "state.safetensors")
         (directory / "state.json").write_text(json.dumps({"step": step, **record}))
-
-    write_directory(path, fill)
     for older in folder.glob(f"{CHECKPOINT_PREFIX}*"):
         if older.name < path.name:
             shutil.rmtree(older)
@@ -77,15 +62,16 @@ def load_checkpoint(folder: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
     found = sorted(folder.glob(f"{CHECKPOINT_PREFIX}*"))
     if not found:
         raise CheckpointError(
-            f"{folder} holds no checkpoint to resume from; train without --resume."
+            f"{folder} holds no checkpoint to resume from; train into another folder without "
+            f"--resume."
         )
     try:
         tensors = load_file(found[-1] / "state.safetensors")
         record = json.loads((found[-1] / "state.json").read_text())
     except (OSError, ValueError, SafetensorError) as error:
         raise CheckpointError(
-            f"checkpoint {found[-1]} is damaged ({error}). Remove it to use an earlier one, or "
-            f"train without --resume."
+            f"checkpoint {found[-1]} is damaged ({error}). Earlier ones are not kept; train "
+            f"into another folder without --resume."
         ) from None
     return tensors, record
 

@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from giorom.data.windows import step_generator
+from giorom.data.windows import random_turn, step_generator
 from giorom.neural_field import NeuralField, projection_loss
 from giorom.state import Trajectory
 
@@ -123,11 +123,7 @@ def _draw(
     frames = torch.randint(1, len(position), (config.frames,), generator=generator)
     reference, moved = position[0, points], position[frames][:, points]
     if turn and position.shape[2] == 3:
-        angle = 2.0 * math.pi * torch.rand((), generator=generator)
-        cosine, sine, zero, one = angle.cos(), angle.sin(), torch.tensor(0.0), torch.tensor(1.0)
-        matrix = torch.stack([cosine, zero, sine, zero, one, zero, -sine, zero, cosine]).reshape(
-            3, 3
-        )
+        matrix = random_turn(1, generator=generator)[0]
         center = trajectories[which].bounds.mean(dim=1)
         reference = (reference - center) @ matrix.T + center
         moved = (moved - center) @ matrix.T + center

@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from giorom.data.windows import WindowBatch
+from giorom.data.windows import WindowBatch, free_particles
 from giorom.graph import concatenate_edges
 from giorom.integrate import advance, finite_differences
 from giorom.pipeline import Connect, Dynamics
@@ -43,7 +43,7 @@ def unrolled_loss(
     Returns:
         The loss, dimensionless; means over free particles and axes.
     """
-    free = (~state.kinematic).nonzero()[:, 0]
+    free = free_particles(state)
     offset = state.position - batch.state.position
     total = state.position.new_zeros(())
     frames = batch.target.shape[1]
@@ -79,7 +79,7 @@ def weak_loss(
     which needs no derivative of the data and in which slow motion weighs most:
 
     .. math::
-        \sum_{|k| < m} (m - |k|)\, a_{n+k} = x_{n+m} - 2 x_n + x_{n-m},
+        \Delta t^2 \sum_{|k| < m} (m - |k|)\, a_{n+k} = x_{n+m} - 2 x_n + x_{n-m},
 
     the sum over the model's accelerations taken at every ``stride``-th k. One-step errors are
     dominated by the fast modes of a body, rollout errors by its slowest.
@@ -104,10 +104,12 @@ def weak_loss(
         for k in shifts
     ]
     state = concatenate_states(states)
-    single = batch.edges if batch.edges is not None else None
-    edges = connect(state) if single is None else concatenate_edges([single] * len(states))
+    if batch.edges is None:
+        edges = connect(state)
+    else:
+        edges = concatenate_edges([batch.edges] * len(states))
     predicted = dynamics.normalized(state, edges).float().unflatten(0, (len(states), -1))
-    free = (~batch.state.kinematic).nonzero()[:, 0]
+    free = free_particles(batch.state)
     error = 0.0
     for number, k in enumerate(shifts):
         now = center + k
