@@ -25,12 +25,14 @@ from giorom.data.windows import (
 )
 from giorom.evaluation.metrics import squared_error_per_frame
 from giorom.evaluation.rollout import roll_out
+from giorom.features import compute_features
 from giorom.graph import RadiusChoice, choose_radius
 from giorom.normalization import Normalization
 from giorom.pipeline import Connect
 from giorom.sampling import sample
 from giorom.simulator import Simulator, SimulatorConfig
 from giorom.state import SparseState, Trajectory
+from giorom.training.checkpoint import CHECKPOINT_PREFIX
 from giorom.training.field_loop import thin, train_field
 from giorom.training.loop import (
     Budget,
@@ -40,6 +42,12 @@ from giorom.training.loop import (
 )
 from giorom.training.skip import fit_skip
 from giorom.version import __version__
+
+COVERAGE_WINDOWS = 64
+"""Windows on which the coverage of the latent grid is measured."""
+
+PRELUDE = 0.1
+"""Largest share of the budget of minutes that the field, and again the skip, may use."""
 
 RADIUS_BODIES = 16
 """Training bodies whose connectivity decides the graph radius."""
@@ -119,7 +127,10 @@ def choose_common_radius(trajectories: list[Trajectory], experiment: Experiment)
         samples = start[sample(start, experiment.sampling)]
         choices.append(choose_radius(samples, start, margin=config.margin))
     largest = max(choices, key=lambda choice: choice.radius)
-    return largest if config.radius is None else replace(largest, radius=config.radius)
+    if config.radius is None:
+        return largest
+    margin = config.radius / max(largest.smallest, largest.full_radius)
+    return replace(largest, radius=config.radius, margin=margin, mean_degree=math.nan)
 
 
 def padded_bounds(trajectories: list[Trajectory], *, turned: bool) -> list[list[float]]:
@@ -212,17 +223,18 @@ def train(
     data = load_training_data(experiment, data_folder)
     report("note", {"text": str(data.choice)})
     simulator = build_simulator(experiment, data)
+    report("note", {"text": describe_coverage(simulator, data)})
     validate = _validation(experiment, data, connect=simulator.connect, device=device)
     _prepare_folder(out, _identity(experiment, simulator.config, seed=seed), resume=resume)
     _train_field(simulator, experiment, data, out=out, budget=budget, seed=seed, report=report)
-    interrupted = resume and (out / "checkpoints").is_dir()
+    interrupted = resume and any((out / "checkpoints").glob(f"{CHECKPOINT_PREFIX}*"))
     if simulator.dynamics.time_stepper.input_skip is not None and not interrupted:
         fit_skip(
             simulator.dynamics,
             data.windows,
             experiment.training,
             seed=seed,
-            minutes=math.inf if budget.minutes is None else budget.minutes / 5.0,
+            minutes=math.inf if budget.minutes is None else PRELUDE * budget.minutes,
             report=lambda numbers: report("skip", numbers),
         )
     simulator.to(device)
@@ -236,9 +248,10 @@ def train(
     )
     if interrupted:
         training.resume()
+    minutes = None if budget.minutes is None else (1.0 - 2.0 * PRELUDE) * budget.minutes
     run = train_stepper(
         training,
-        budget,
+        replace(budget, minutes=minutes),
         validate=validate,
         keep=lambda best: _keep(simulator, best, out),
         report=lambda numbers: report("time_stepper", numbers),
@@ -265,6 +278,25 @@ def train(
     }
 
 
+def describe_coverage(simulator: Simulator, data: TrainingData) -> str:
+    """Which share of the samples of some training windows the latent grid reaches, in words."""
+    dynamics, windows = simulator.dynamics, data.windows
+    shares = []
+    for number in range(0, len(windows), max(1, len(windows) // COVERAGE_WINDOWS)):
+        window = windows[number]
+        edges = window.edges if window.edges is not None else simulator.connect(window.state)
+        features = compute_features(
+            window.state,
+            edges,
+            dynamics.features,
+            normalization=dynamics.normalization,
+            radius=dynamics.radius,
+        )
+        shares.append(float(dynamics.time_stepper.coverage(features)))
+    share = sum(shares) / len(shares)
+    return f"the latent grid reaches {100.0 * share:.1f} % of the samples"
+
+
 def _train_field(
     simulator: Simulator,
     experiment: Experiment,
@@ -285,7 +317,7 @@ def _train_field(
     config = experiment.field_training
     minutes = config.minutes
     if budget.minutes is not None:
-        minutes = min(minutes, budget.minutes / 5.0)
+        minutes = min(minutes, PRELUDE * budget.minutes)
     result = train_field(
         simulator.field,
         data.thinned,

@@ -7,6 +7,7 @@ have as many connected components as the full-order one (arXiv:2407.03925v2, sec
 which a minimum spanning tree answers in closed form.
 """
 
+import math
 from dataclasses import dataclass
 from itertools import pairwise, product
 from typing import Literal
@@ -87,15 +88,17 @@ class RadiusChoice:
     """Radius of the full-order graph [m]."""
 
     mean_degree: float
-    """Mean number of neighbours of a sampled particle at the chosen radius, itself excluded."""
+    """Mean number of neighbours of a sampled particle at the chosen radius, itself excluded; NaN
+    where the radius was given and not chosen."""
 
     def __str__(self) -> str:
         """One line for a log."""
+        degree = "" if math.isnan(self.mean_degree) else f"; {self.mean_degree:.1f} neighbours each"
         return (
-            f"graph radius {self.radius:.4f} m = {self.margin:g} x "
+            f"graph radius {self.radius:.4f} m = {self.margin:.3g} x "
             f"{max(self.smallest, self.full_radius):.4f} m: {self.smallest:.4f} m is the smallest "
             f"that keeps the {self.components} component(s) of the full graph, whose "
-            f"radius is {self.full_radius:.4f} m; {self.mean_degree:.1f} neighbours per sample"
+            f"radius is {self.full_radius:.4f} m{degree}"
         )
 
 

@@ -250,7 +250,7 @@ def test_oracle_agrees_with_the_referee(simulator, tiny):
     still = squared_error_per_frame(truth[:1].expand_as(truth), truth).mean()
     assert scores["static_mse"] == pytest.approx(float(still))
     seconds = dict(scores["seconds_per_frame"])
-    assert set(seconds) == {"graph", "network", "integrate", "upscale", "total"}
+    assert set(seconds) == {"sample", "graph", "network", "integrate", "upscale", "total"}
     assert seconds.pop("total") == pytest.approx(sum(seconds.values()))
     assert torch.equal(verdict.truth.position, truth)
     assert verdict.predicted.position.shape == truth.shape

@@ -129,7 +129,7 @@ def _update_index(name: str, size: int, scores: dict[str, Any], commands: list[s
         "points": scores["points"],
         "sparse_points": scores["sparse_points"],
         "bytes": size,
-        "one_step_mse": full["one_step_mse"],
+        "one_step_mse": scores["sparse"]["one_step_mse"],
         "rollout_mse": scores["sparse"]["rollout_mse"],
         "full_rollout_mse": full["rollout_mse"],
         "constant_velocity_mse": full["constant_velocity_mse"],

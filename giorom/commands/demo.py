@@ -31,7 +31,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     if arguments.frames < 1:
         raise ValueError(f"--frames must be >= 1, got {arguments.frames}.")
     check_output(arguments.out, folder=True)
-    simulator = Simulator.from_pretrained(arguments.pretrained)
+    simulator = Simulator.from_pretrained(arguments.pretrained).to(arguments.device)
     scene, trained_count = _scene(arguments, simulator)
     sparse = trained_count if arguments.sparse is None else arguments.sparse
     if not 1 <= sparse <= len(scene.position):

@@ -61,7 +61,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     return {
         "points": motion.position.shape[1],
         "sparse_points": samples,
-        "frames": motion.frame_count,
+        "frames": arguments.frames,
         "seconds": seconds,
         "files": [str(written)],
     }

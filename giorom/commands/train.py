@@ -20,7 +20,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_experiment(parser)
     parser.add_argument("--data", type=Path, required=True, help="folder of the data set")
     parser.add_argument("--out", type=Path, required=True, help="folder of the run")
-    parser.add_argument("--max-minutes", type=float, help="longest training [min]")
+    parser.add_argument(
+        "--max-minutes", type=float, help="longest training, reading the data set aside [min]"
+    )
     parser.add_argument("--max-steps", type=int, help="most optimiser steps")
     parser.add_argument("--resume", action="store_true", help="continue the run in --out")
 

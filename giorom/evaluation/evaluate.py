@@ -68,7 +68,7 @@ class Comparison:
                 torch.cat([first, self.predicted]), torch.cat([first, self.truth])
             ),
             "rollout_mse_at": {
-                str(frame): float(error[: frame - given].mean())
+                str(frame): float(error[: frame - given].sum()) / frame
                 for frame in REPORT_FRAMES
                 if given < frame <= frames + given
             },

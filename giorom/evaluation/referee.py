@@ -47,11 +47,14 @@ def judge(
         frames: Frames after the initial one.
         sparse_points: Number of samples; by default the trained reduction.
     """
-    samples = simulator.sample(scene.position, count=sparse_points)
-    sparse, predicted, seconds = _timed_rollout(simulator, scene, samples, frames)
+    samples, sparse, predicted, seconds = _timed_rollout(
+        simulator, scene, frames=frames, sparse_points=sparse_points
+    )
+    device = str(next(simulator.parameters()).device)
     solver = replace(simulator.config.solver, frames=frames + 1)
-    truth = simulate(scene, solver)
-    scores = _compare(simulator, scene, samples, predicted, truth)
+    truth = simulate(scene, solver, device=device)
+    scores = _compare(simulator.to("cpu"), scene, samples, predicted, truth)
+    simulator.to(device)
     solver_seconds = float(truth.attributes["seconds"]) / frames
     scores |= {
         "points": len(scene.position),
@@ -64,6 +67,7 @@ def judge(
         "speedup": solver_seconds * frames / seconds["total"],
         "threads": torch.get_num_threads(),
         "solver_threads": 1,
+        "device": device,
         "shape": scene.attributes.get("shape"),
         "sparse_rollout_mse": float(
             squared_error_per_frame(sparse, truth.position[1:, samples]).mean()
@@ -90,13 +94,18 @@ def scene_with_points(config: SceneConfig, *, points: int | None, found: int) ->
 
 
 def _timed_rollout(
-    simulator: Simulator, scene: Scene, samples: Tensor, frames: int
-) -> tuple[Tensor, Tensor, dict[str, float]]:
-    """Sparse and full positions, and the time of each stage, adding up to ``total`` [s]."""
-    arguments = (scene.position, scene.velocity, scene.particle_type)
+    simulator: Simulator, scene: Scene, *, frames: int, sparse_points: int | None
+) -> tuple[Tensor, Tensor, Tensor, dict[str, float]]:
+    """Samples, sparse and full positions, and the time of each stage, adding up to ``total`` [s].
+
+    Everything is computed on the device of the simulator and returned on the CPU.
+    """
+    device = next(simulator.parameters()).device
+    arguments = [part.to(device) for part in (scene.position, scene.velocity, scene.particle_type)]
     watch = Stopwatch()
+    samples = watch.timed("sample", simulator.sample)(arguments[0], count=sparse_points)
     decoder = watch.timed("upscale", simulator.decoder)(
-        scene.position, scene.kinematic, samples=samples
+        arguments[0], scene.kinematic.to(device), samples=samples
     )
     decode = watch.timed("upscale", decoder)
     connect = watch.timed("graph", simulator.connect)
@@ -114,7 +123,8 @@ def _timed_rollout(
     total = setup + time.perf_counter() - start
     seconds = dict(watch.seconds)
     seconds["integrate"] = max(0.0, total - sum(seconds.values()))
-    return torch.stack(sparse), torch.stack(full), seconds | {"total": total}
+    moved = torch.stack(sparse).cpu(), torch.stack(full).cpu()
+    return samples.cpu(), *moved, seconds | {"total": total}
 
 
 def _compare(

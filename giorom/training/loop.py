@@ -33,38 +33,8 @@ from giorom.training.checkpoint import (
     optimizer_tensors,
     save_checkpoint,
 )
-from giorom.training.loss import unrolled_loss, weak_loss
+from giorom.training.loss import WeakFormConfig, unrolled_loss, weak_loss
 from giorom.training.noise import add_random_walk
-
-
-@dataclass(frozen=True, kw_only=True)
-class WeakFormConfig:
-    """Training on true states with the equation of motion averaged in time (``weak_loss``)."""
-
-    half_width: int = 16
-    """Half width m of the hat function [frames]; about a quarter of the slowest period."""
-
-    stride: int = 4
-    """Frames between evaluations of the model, a divisor of ``half_width``."""
-
-    weight: float = 10.0
-    """Weight of the averaged error against that at single frames."""
-
-    until: float = 0.7
-    """Share of the budget at which unrolled training takes over."""
-
-    def __post_init__(self) -> None:
-        """Reject windows that cannot be divided."""
-        if self.stride < 1 or self.half_width < 1 or self.half_width % self.stride:
-            raise ValueError(
-                f"WeakFormConfig.stride must be >= 1 and divide half_width, got "
-                f"stride={self.stride!r} and half_width={self.half_width!r}."
-            )
-        if not self.weight >= 0.0 or not 0.0 < self.until <= 1.0:
-            raise ValueError(
-                f"WeakFormConfig needs weight >= 0 and until in (0, 1], got weight="
-                f"{self.weight!r} and until={self.until!r}."
-            )
 
 
 @dataclass(frozen=True, kw_only=True)
