@@ -125,14 +125,14 @@ def load_experiment(name: str, overrides: dict[str, Any] | None = None) -> Exper
         raise ValueError(f"there is no preset {name!r}. {nearest(name, preset_names())}")
     try:
         values = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+    except (OSError, UnicodeDecodeError, yaml.YAMLError, RecursionError) as error:
         raise ValueError(f"{path} is not readable YAML: {one_line(error)}") from None
     if not isinstance(values, dict):
         raise ValueError(f"{path} must hold a mapping of names to values, not {values!r}.")
     return parse_record(Experiment, merged(values, overrides or {}), where=name)
 
 
-def merged(values: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
+def merged(values: dict[Any, Any], changes: dict[Any, Any]) -> dict[Any, Any]:
     """Nested mapping with some entries replaced."""
     result = dict(values)
     for key, value in changes.items():

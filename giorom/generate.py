@@ -135,7 +135,7 @@ def _run(
             yield _finish(experiment, job, folder, device)
         return
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(max_workers=jobs, mp_context=context) as pool:
+    with ProcessPoolExecutor(max_workers=min(jobs, len(todo)), mp_context=context) as pool:
         waiting = {pool.submit(_finish, experiment, job, folder, device): job for job in todo}
         for future in as_completed(waiting):
             try:

@@ -13,10 +13,10 @@ from typing import Any, TypeVar
 Record = TypeVar("Record")
 
 
-def nearest(word: str, known: Iterable[str]) -> str:
+def nearest(word: Any, known: Iterable[str]) -> str:
     """A hint for a misspelt name: the nearest known one, or all of them."""
     known = list(known)
-    found = difflib.get_close_matches(word, known, n=1, cutoff=0.5)
+    found = difflib.get_close_matches(str(word), known, n=1, cutoff=0.5)
     hint = f"Did you mean {found[0]!r}? " if found else ""
     return f"{hint}Known: {', '.join(known)}."
 

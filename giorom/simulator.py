@@ -39,6 +39,9 @@ from giorom.version import __version__
 PRETRAINED = Path(__file__).parent / "pretrained"
 """Models that are part of the package."""
 
+MOST_RESULT_BYTES = 64 << 30
+"""Largest result kept in memory [bytes]; refused before the first frame."""
+
 FORMAT_VERSION = 1
 """Version of the stored form."""
 
@@ -220,6 +223,7 @@ class Simulator(nn.Module):
         Returns:
             ``frames + 1`` frames, the first of which is ``position``.
         """
+        check_frames(frames, position)
         samples = self.sample(position, count=sparse_points)
         motion = self.frames(position, velocity, particle_type, frames=frames, samples=samples)
         return Trajectory(
@@ -266,6 +270,20 @@ class Simulator(nn.Module):
                 f"({self.config.system}) was trained in {self.config.dimension} dimensions. Use a "
                 f"model of that dimension."
             )
+
+
+def check_frames(frames: int, position: Float[Tensor, "p d"]) -> None:
+    """Refuse a rollout whose frames would not fit into memory.
+
+    Raises:
+        ValueError: If the result would take more than ``MOST_RESULT_BYTES``.
+    """
+    size = (frames + 1) * position.numel() * position.element_size()
+    if size > MOST_RESULT_BYTES:
+        raise ValueError(
+            f"{frames} frames of {len(position)} particles would take {size >> 30} GiB, more "
+            f"than {MOST_RESULT_BYTES >> 30}. Ask for fewer frames."
+        )
 
 
 def pretrained_directory(name: Path | str) -> Path:

@@ -388,3 +388,61 @@ def test_preset_may_stand_before_or_after_the_options(succeed, tiny_values, tmp_
     after = succeed("simulate", *options, file)
     assert before["points"] == after["points"]
     assert before["frames"] == after["frames"] == 3
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "text"),
+    [
+        ("--scene.spacing", "1e-9", "needs a lattice"),
+        ("--scene.spacing", ".inf", "spacing must be > 0"),
+        ("--scene.gravity", "-9.8", "gravity points down"),
+        ("--scene.gravity", ".nan", "gravity points down"),
+        ("--solver.grid_cells", "100000", "at most 1024"),
+        ("--threads", "99999", "<= 1024"),
+        ("--json", "/dev/null", "is a device"),
+        ("--json", "x" * 5000, "cannot be written"),
+        ("--shape", "x" * 5000 + ".obj", "does not exist"),
+    ],
+)
+def test_absurd_values_are_refused_before_work(refuse, tiny_yaml, out, option, value, text):  # noqa: PLR0917
+    """Neither memory nor a device file is touched for them."""
+    words = ("simulate", "--config", tiny_yaml, "--trajectories", 1, "--out", out)
+    assert text in refuse(*words, option, value)
+    assert not out.exists()
+
+
+@pytest.mark.parametrize("text", ["1: 2", "~: 2", "[" * 5000])
+def test_strange_yaml_is_refused(refuse, tmp_path, out, text):
+    """Keys that are no words, and lists without an end."""
+    file = tmp_path / "strange.yaml"
+    file.write_text(text)
+    assert "strange.yaml" in refuse("simulate", file, "--trajectories", 1, "--out", out)
+
+
+@pytest.mark.parametrize("name", ["broken.zip", "broken.dae", "broken.step", "broken.3mf"])
+def test_mesh_of_a_reader_that_is_missing_is_refused(refuse, run_folder, tmp_path, out, name):
+    """Whatever the library behind a format raises."""
+    (tmp_path / name).write_bytes(b"no mesh")
+    words = ("rollout", run_folder, "--frames", 1, "--out", out / "a.h5")
+    assert name in refuse(*words, "--shape", tmp_path / name)
+
+
+def test_endless_rollout_is_refused(refuse, run_folder, out):
+    """Before the first frame."""
+    words = ("--shape", "box", "--frames", 10**9)
+    assert "GiB" in refuse("rollout", run_folder, *words, "--out", out / "a.h5")
+    assert "GiB" in refuse("demo", "--pretrained", run_folder, *words, "--out", out)
+
+
+def test_unknown_particle_type_is_refused(refuse, run_folder, data_copy):
+    """The embedding has one slot for each of nine types."""
+    with h5py.File(data_copy / "test.h5", "r+") as file:
+        file["00000/particle_type"][0] = 99
+    assert "holds 99" in refuse("evaluate", run_folder, "--data", data_copy)
+
+
+def test_endless_frame_is_refused(capsys, tiny_yaml, out):
+    """Substeps without number are a wrong unit; the scene is counted as failed."""
+    words = ["simulate", "--config", str(tiny_yaml), "--trajectories", "1", "--out", str(out)]
+    assert main([*words, "--quiet", "--solver.frame_dt", "1e300"]) == 3
+    assert "substeps" in capsys.readouterr().err

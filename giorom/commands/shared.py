@@ -1,6 +1,7 @@
 """What all commands share: common options, overrides, progress, results."""
 
 import argparse
+import os
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -13,6 +14,9 @@ from tqdm.auto import tqdm
 from giorom.config import Experiment, load_experiment, merged
 from giorom.data.atomic import write_json
 from giorom.records import nearest
+
+MOST_THREADS = 1024
+"""Most threads asked of PyTorch; far more than it can start end the process without a word."""
 
 
 class RefusingParser(argparse.ArgumentParser):
@@ -54,6 +58,8 @@ def execute(name: str, command: ModuleType, arguments: list[str], *, description
     if parsed.threads is not None:
         if parsed.threads < 1:
             raise ValueError(f"--threads must be >= 1, got {parsed.threads}.")
+        if parsed.threads > MOST_THREADS:
+            raise ValueError(f"--threads must be <= {MOST_THREADS}, got {parsed.threads}.")
         torch.set_num_threads(parsed.threads)
     result = command.run(parsed)
     if parsed.json is not None:
@@ -124,6 +130,15 @@ def check_output(path: Path, *, folder: bool) -> Path:
         path: File or folder to write.
         folder: Whether it is to be a folder.
     """
+    try:
+        os.lstat(path)
+    except FileNotFoundError:
+        pass
+    except (OSError, ValueError) as error:
+        if not isinstance(error, NotADirectoryError):
+            raise ValueError(f"{str(path)[:200]!r} cannot be written ({error}).") from None
+    if path.exists() and not (path.is_dir() or path.is_file()):
+        raise ValueError(f"{path} is a device or a pipe, which would be replaced. Name a file.")
     if path.exists() and path.is_dir() != folder:
         kind, other = ("folder", "file") if folder else ("file", "folder")
         raise ValueError(f"{path} is to be a {kind}, but there is a {other} of that name.")

@@ -22,7 +22,7 @@ import torch
 
 from giorom.data.atomic import replacing
 from giorom.data.metadata import FORMAT_VERSION, DataError, read_metadata
-from giorom.state import Trajectory
+from giorom.state import PARTICLE_TYPE_COUNT, Trajectory
 
 __all__ = [
     "FORMAT_VERSION",
@@ -321,6 +321,13 @@ def _checked_arrays(group: Any, where: str) -> tuple[Any, Any]:
         raise DataError(
             f"{where}/particle_type is {particle_type.dtype} of shape {particle_type.shape}; it "
             f"must be one integer for each of the {position.shape[1]} particles."
+        )
+    types = particle_type[:]
+    wrong = types[(types < 0) | (types >= PARTICLE_TYPE_COUNT)]
+    if len(wrong):
+        raise DataError(
+            f"{where}/particle_type holds {int(wrong[0])}; types lie between 0 and "
+            f"{PARTICLE_TYPE_COUNT - 1} (GNS convention). Renumber them."
         )
     return position, particle_type
 

@@ -18,7 +18,7 @@ from giorom.evaluation.stopwatch import Stopwatch, synchronize
 from giorom.evaluation.trivial import constant_velocity, free_fall, hold_still
 from giorom.mpm import Scene, SceneConfig, simulate
 from giorom.pipeline import rollout, start_from_velocity
-from giorom.simulator import Simulator
+from giorom.simulator import Simulator, check_frames
 from giorom.state import Trajectory
 
 
@@ -47,6 +47,7 @@ def judge(
         frames: Frames after the initial one.
         sparse_points: Number of samples; by default the trained reduction.
     """
+    check_frames(frames, scene.position)
     samples, sparse, predicted, seconds = _timed_rollout(
         simulator, scene, frames=frames, sparse_points=sparse_points
     )

@@ -9,6 +9,7 @@ cells its projection covers.
 Metres after scaling; NumPy only (trimesh reads the file, imported inside the function).
 """
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -54,13 +55,13 @@ def load_mesh_shape(path: str | Path, *, size: float) -> Shape:
 
 
 def _read(path: Path) -> Any:
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise ValueError(f"mesh file {path} does not exist. Give the path of a closed mesh.")
     import trimesh
 
     try:
         mesh = trimesh.load(path, force="mesh")
-    except (ValueError, KeyError, IndexError, TypeError, NotImplementedError) as error:
+    except Exception as error:  # its readers raise whatever their libraries raise
         raise ValueError(
             f"mesh file {path} cannot be read ({error}). Export it as a triangle .obj."
         ) from error

@@ -99,8 +99,12 @@ class SceneConfig:
         self._check_shapes()
         for name in ("height_range", "slenderness", "speed_range", "spin_range"):
             self._check_range(name, getattr(self, name))
-        if not self.spacing > 0.0:
+        if not 0.0 < self.spacing < float("inf"):
             raise ValueError(f"SceneConfig.spacing must be > 0 m, got {self.spacing!r}.")
+        if not 0.0 <= self.gravity < float("inf"):
+            raise ValueError(
+                f"SceneConfig.gravity points down and must be >= 0 m/s^2, got {self.gravity!r}."
+            )
         if not 0.0 < self.wall < 0.5:
             raise ValueError(
                 f"SceneConfig.wall is a distance from the side of the unit box and must lie "

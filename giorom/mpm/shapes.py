@@ -8,6 +8,7 @@ to the inside, moved a little by a seeded jitter; particles never leave the shap
 Closed meshes are in ``mesh.py``. Metres; NumPy only.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -17,6 +18,9 @@ from jaxtyping import Float
 
 Points = Float[np.ndarray, "n d"]
 Level = Callable[[np.ndarray], np.ndarray]
+
+MOST_LATTICE_POINTS = 20_000_000
+"""Refused before memory is taken: filling needs some 100 bytes for each."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -173,7 +177,17 @@ def lattice(extent: tuple[float, ...], spacing: float) -> np.ndarray:
 
     Returns:
         Points (n, d) [m], the last axis running fastest.
+
+    Raises:
+        ValueError: If the lattice has more than ``MOST_LATTICE_POINTS``.
     """
+    wanted = math.prod(max(1.0, edge / spacing) for edge in extent)
+    if not wanted <= MOST_LATTICE_POINTS:
+        raise ValueError(
+            f"a body of {' x '.join(f'{edge:.3g}' for edge in extent)} m at spacing {spacing:.3g} "
+            f"m needs a lattice of {wanted:.3g} points, more than {MOST_LATTICE_POINTS}. Raise "
+            f"SceneConfig.spacing or ask for fewer points."
+        )
     counts = [max(1, round(edge / spacing)) for edge in extent]
     axes = [(np.arange(count) - 0.5 * (count - 1)) * spacing for count in counts]
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(extent))

@@ -25,6 +25,12 @@ from giorom.state import Trajectory
 SPEED_LIMIT = 0.3
 """Largest way of a particle in one substep [cells]."""
 
+MOST_GRID_CELLS = 1024
+"""Nodes are counted in 32 bits."""
+
+MOST_SUBSTEPS = 1_000_000
+"""Most substeps of one frame; more is a wrong unit, not a simulation."""
+
 HEADROOM = 2.0
 """How much faster than the scene's own estimate a particle may become."""
 
@@ -55,6 +61,11 @@ class SolverConfig:
             raise ValueError(
                 f"SolverConfig.grid_cells must be at least 8 (walls and stencils take 3 cells "
                 f"on each side), got {self.grid_cells!r}."
+            )
+        if self.grid_cells > MOST_GRID_CELLS:
+            raise ValueError(
+                f"SolverConfig.grid_cells must be at most {MOST_GRID_CELLS} per axis, got "
+                f"{self.grid_cells!r}; the grid would not fit into memory."
             )
         if not (self.frame_dt > 0.0 and math.isfinite(self.frame_dt)):
             raise ValueError(f"SolverConfig.frame_dt must be > 0 s, got {self.frame_dt!r}.")
@@ -163,7 +174,14 @@ def largest_substep(scene: Scene, grid_cells: int) -> tuple[float, str]:
 
 def _checked_substeps(scene: Scene, solver: SolverConfig) -> int:
     limit, rule = largest_substep(scene, solver.grid_cells)
-    needed = math.ceil(solver.frame_dt / limit * (1.0 - 1e-9))
+    asked = solver.frame_dt / limit if limit > 0.0 else math.inf
+    if not max(asked, solver.substeps or 0) <= MOST_SUBSTEPS:
+        raise ValueError(
+            f"a frame of {solver.frame_dt:g} s would take {max(asked, solver.substeps or 0):.3g} "
+            f"substeps ({rule}), more than {MOST_SUBSTEPS}. Lower SolverConfig.frame_dt or "
+            f"substeps, or check stiffness, density and speed."
+        )
+    needed = math.ceil(asked * (1.0 - 1e-9))
     if solver.substeps is None:
         return needed
     if solver.substeps < needed:
