@@ -22,6 +22,7 @@ from giorom.mpm.shapes import (
     superquadric_level,
     torus_distance,
 )
+from giorom.records import nearest
 
 BASE_CUT = 0.12
 """Part of the height cut off below rounded bodies, so that they stand [-]."""
@@ -213,8 +214,8 @@ def require_shape(name: str, dimension: int) -> None:
     if name not in SHAPES or dimension not in SHAPES[name][1]:
         known = [key for key, (_, dimensions) in SHAPES.items() if dimension in dimensions]
         raise ValueError(
-            f"there is no {dimension}-D shape {name!r}. Shapes: {', '.join(known)}; a closed "
-            f"mesh file (.obj, .stl, .ply) is given by its path."
+            f"there is no {dimension}-D shape {name!r}. {nearest(name, known)} A closed mesh file "
+            f"(.obj, .stl, .ply) is given by its path."
         )
 
 
