@@ -87,7 +87,12 @@ def _card(
         values = [scores[where].get(key) for where in ("sparse", "full")]
         shown = ["" if value is None else f"{value:.3g}" for value in values]
         rows.append(f"| {label} | {shown[0]} | {shown[1]} |")
-    steps = f"{trained['steps']} steps in {trained['seconds'] / 60.0:.0f} minutes"
+    best = min(trained["history"], key=lambda entry: entry["rollout_mse"] or float("inf"))
+    steps = (
+        f"{trained['steps']} steps in {trained['seconds'] / 60.0:.0f} minutes, the weights kept "
+        f"are those of step {best['step']}"
+    )
+    stopped = f" The run was stopped {trained['stopped']}." if "stopped" in trained else ""
     return "\n".join(
         [
             f"# {name}",
@@ -95,7 +100,7 @@ def _card(
             f"System {config.system}, {config.dimension}-D, a frame every "
             f"{1e3 * config.frame_dt:g} ms; {trained['parameters']} + "
             f"{trained['field_parameters']} parameters (time-stepper and field); {steps} on "
-            f"{trained['threads']} CPU thread(s), seed {trained['seed']}.",
+            f"{trained['threads']} CPU thread(s), seed {trained['seed']}.{stopped}",
             "",
             "Made by",
             "",
