@@ -133,11 +133,11 @@ def load_experiment(name: str, overrides: dict[str, Any] | None = None) -> Exper
 
 
 def merged(values: dict[Any, Any], changes: dict[Any, Any]) -> dict[Any, Any]:
-    """Nested mapping with some entries replaced."""
+    """Nested mapping with some entries replaced; an empty mapping replaces a whole group."""
     result = dict(values)
     for key, value in changes.items():
         inner = result.get(key)
-        if isinstance(value, dict) and isinstance(inner, dict):
+        if isinstance(value, dict) and value and isinstance(inner, dict):
             result[key] = merged(inner, value)
         else:
             result[key] = value

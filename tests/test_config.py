@@ -148,3 +148,10 @@ def test_record_inside_an_optional_is_checked_too():
     assert parse_record(Outer, {"inner": None}, where="x").inner is None
     with pytest.raises(ValueError, match=r"x\[inner\]: Inner has no field 'wdth'.*'width'"):
         parse_record(Outer, {"inner": {"wdth": 3}}, where="x")
+
+
+def test_an_empty_mapping_clears_a_group():
+    """How the published network is chosen in a preset that changes the recommended one."""
+    changes = {"time_stepper": {"preset": "paper", "overrides": {}}}
+    chosen = load_experiment("elastic3d-small", changes).time_stepper
+    assert (chosen.preset, chosen.overrides) == ("paper", {})
