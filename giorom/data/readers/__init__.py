@@ -1,0 +1,28 @@
+"""Readers of foreign formats, one file each; all give ``ForeignTrajectory`` records."""
+
+from pathlib import Path
+
+from giorom.data.readers.source import DataError, ForeignTrajectory, Reader
+
+__all__ = ["READERS", "DataError", "ForeignTrajectory", "Reader", "detect_format"]
+
+READERS: tuple[Reader, ...] = ()
+"""Every reader, the most particular format first."""
+
+
+def detect_format(path: Path) -> Reader:
+    """The reader of a file or folder, told from its content.
+
+    Args:
+        path: What to read.
+
+    Raises:
+        DataError: If it does not exist, or no reader knows it.
+    """
+    if not path.exists():
+        raise DataError(f"{path} does not exist. Check the path.")
+    for reader in READERS:
+        if reader.detect(path):
+            return reader
+    known = "; ".join(f"{reader.name} ({reader.title})" for reader in READERS)
+    raise DataError(f"{path} is of no known format. Known: {known}. Name it with --format.")
