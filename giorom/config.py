@@ -13,7 +13,7 @@ import yaml
 
 from giorom.features import FeatureConfig
 from giorom.graph import GraphConfig
-from giorom.mpm.scenes import SceneConfig
+from giorom.mpm.scene_config import SceneConfig
 from giorom.mpm.simulate import SolverConfig
 from giorom.neural_field import NeuralFieldConfig
 from giorom.records import check_keys, nearest, one_line, parse_record

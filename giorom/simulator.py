@@ -19,7 +19,7 @@ from torch import Tensor, nn
 
 from giorom.features import FeatureConfig
 from giorom.graph import GraphConfig
-from giorom.mpm.scenes import SceneConfig
+from giorom.mpm.scene_config import SceneConfig
 from giorom.mpm.simulate import SolverConfig
 from giorom.neural_field import FieldDecoder, NeuralField, NeuralFieldConfig
 from giorom.normalization import Normalization

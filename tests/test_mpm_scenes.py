@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from giorom.mpm import SolverConfig, draw_scene, simulate
-from giorom.mpm.scenes import ELASTIC3D, JELLY3D, WATER2D
+from giorom.mpm.scene_config import ELASTIC3D, JELLY3D, WATER2D
 from giorom.state import ELASTIC, KINEMATIC, WATER
 
 trimesh = pytest.importorskip("trimesh")
@@ -20,7 +20,7 @@ def test_importing_the_simulator_starts_neither_warp_nor_trimesh():
     """Scenes can be drawn on a machine without the simulator's engine."""
     code = (
         "import sys, giorom.mpm; "
-        "from giorom.mpm.scenes import ELASTIC3D; giorom.mpm.draw_scene(ELASTIC3D, seed=0); "
+        "from giorom.mpm.scene_config import ELASTIC3D; giorom.mpm.draw_scene(ELASTIC3D, seed=0); "
         "sys.exit('warp' in sys.modules or 'trimesh' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0  # noqa: S603

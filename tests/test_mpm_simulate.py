@@ -12,7 +12,7 @@ import torch
 
 from giorom.mpm import Scene, SimulationError, SolverConfig, draw_scene, simulate
 from giorom.mpm.boundary import walls_of
-from giorom.mpm.scenes import ELASTIC3D, JELLY3D, WATER2D
+from giorom.mpm.scene_config import ELASTIC3D, JELLY3D, WATER2D
 
 # ``giorom.mpm.simulate`` names the function; its module is reached like this.
 simulate_module = importlib.import_module("giorom.mpm.simulate")

@@ -5,7 +5,8 @@ by ``simulate`` and by the reading of a mesh file.
 """
 
 from giorom.mpm.materials import StableNeoHookean, WeaklyCompressibleFluid, make_material
-from giorom.mpm.scenes import Scene, SceneConfig, draw_scene
+from giorom.mpm.scene_config import SceneConfig
+from giorom.mpm.scenes import Scene, draw_scene
 from giorom.mpm.simulate import SimulationError, SolverConfig, simulate
 
 __all__ = [

@@ -1,20 +1,12 @@
 """Random scenes: which body starts where, of what, and how fast.
 
 A ``SceneConfig`` describes a family of scenes in plain values; ``draw_scene`` turns it and a
-seed into one ``Scene``, always the same. Two families:
-
-``clamped``
-    A body stands upright on its clamp in still air (no gravity unless asked for). Its lowest
-    part is kinematic; an initial velocity that vanishes at the clamp sets it swinging.
-``thrown``
-    A body starts at a random place in the box with a random velocity and spin, and falls.
-
-The domain is the unit box, axis 1 points up. SI units. This module needs no simulator.
+seed into one ``Scene``, always the same. SI units. This module needs no simulator.
 """
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import torch
@@ -23,137 +15,11 @@ from torch import Tensor
 
 from giorom.mpm.materials import Material, make_material, material_attributes
 from giorom.mpm.mesh import load_mesh_shape
-from giorom.mpm.motion import IMPULSES, clamped_velocity, thrown_velocity
-from giorom.mpm.shape_library import SHAPES, Proportions, draw_shape, require_shape
+from giorom.mpm.motion import clamped_velocity, thrown_velocity
+from giorom.mpm.scene_config import SceneConfig
+from giorom.mpm.shape_library import SHAPES, Proportions, draw_shape
 from giorom.mpm.shapes import Shape, fill
 from giorom.state import KINEMATIC
-
-GRAVITY = 9.8
-"""Standard choice of the reference data sets [m/s^2]."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class SceneConfig:
-    """How a random scene is drawn."""
-
-    family: Literal["clamped", "thrown"]
-    """``clamped``: stands on its clamp and swings. ``thrown``: starts anywhere and falls."""
-
-    dimension: int
-    """2 (plane strain) or 3."""
-
-    material: str
-    """Name of a material, see ``giorom.mpm.materials.MATERIALS``."""
-
-    material_parameters: dict[str, float]
-    """Parameters of the material, SI."""
-
-    shapes: list[str]
-    """Names of the shapes to draw from."""
-
-    held_out_shapes: list[str] = field(default_factory=list)
-    """Shapes kept for testing: never drawn, only on request."""
-
-    height_range: list[float]
-    """Smallest and largest height of the body [m]; of a mesh, its longest edge."""
-
-    spacing: float
-    """Distance of neighbouring particles [m]; about half a grid cell."""
-
-    speed_range: list[float]
-    """Range of the initial speed [m/s]; clamped: of the fastest particle."""
-
-    spin_range: list[float] = field(default_factory=lambda: [0.0, 0.0])
-    """Range of the initial angular speed of a thrown body [rad/s]."""
-
-    slenderness: list[float] = field(default_factory=lambda: [0.5, 0.8])
-    """Range of width over height of a drawn body [-]."""
-
-    gravity: float = 0.0
-    """Downward acceleration [m/s^2]; 0 turns it off."""
-
-    wall: float = 0.0625
-    """Distance of the walls from the sides of the unit box [m]; two grid cells or more."""
-
-    placement: list[list[float]] | None = None
-    """Range of the centre on each axis of a thrown body [m]; null: wherever it fits."""
-
-    base_height: float = 0.125
-    """Height at which a clamped body stands [m]."""
-
-    clamped_fraction: float = 0.1
-    """Part of the height of a clamped body that is held [-]."""
-
-    impulses: list[str] = field(default_factory=lambda: list(IMPULSES))
-    """Parts of the initial motion of a clamped body: bend, sway, twist, axial."""
-
-    def __post_init__(self) -> None:
-        """Reject what no scene can be drawn from."""
-        if self.dimension not in (2, 3):
-            raise ValueError(f"SceneConfig.dimension must be 2 or 3, got {self.dimension!r}.")
-        if self.family not in ("clamped", "thrown"):
-            raise ValueError(
-                f"SceneConfig.family must be 'clamped' or 'thrown', got {self.family!r}."
-            )
-        make_material(self.material, self.material_parameters)
-        self._check_shapes()
-        for name in ("height_range", "slenderness", "speed_range", "spin_range"):
-            self._check_range(name, getattr(self, name))
-        if not 0.0 < self.spacing < float("inf"):
-            raise ValueError(f"SceneConfig.spacing must be > 0 m, got {self.spacing!r}.")
-        if not 0.0 <= self.gravity < float("inf"):
-            raise ValueError(
-                f"SceneConfig.gravity points down and must be >= 0 m/s^2, got {self.gravity!r}."
-            )
-        if not 0.0 < self.wall < 0.5:
-            raise ValueError(
-                f"SceneConfig.wall is a distance from the side of the unit box and must lie "
-                f"between 0 and 0.5 m, got {self.wall!r}."
-            )
-        if not 0.0 < self.clamped_fraction < 1.0:
-            raise ValueError(
-                f"SceneConfig.clamped_fraction must lie between 0 and 1, got "
-                f"{self.clamped_fraction!r}."
-            )
-        if not self.impulses or not set(self.impulses) <= set(IMPULSES):
-            raise ValueError(
-                f"SceneConfig.impulses must name at least one of {', '.join(IMPULSES)}, got "
-                f"{self.impulses!r}."
-            )
-        self._check_placement()
-
-    def _check_shapes(self) -> None:
-        if not self.shapes:
-            raise ValueError(
-                f"SceneConfig.shapes is empty, a scene needs at least one. Shapes: "
-                f"{', '.join(SHAPES)}."
-            )
-        for name in [*self.shapes, *self.held_out_shapes]:
-            require_shape(name, self.dimension)
-        both = sorted(set(self.shapes) & set(self.held_out_shapes))
-        if both:
-            raise ValueError(
-                f"SceneConfig.held_out_shapes are kept for testing and must not be in shapes "
-                f"too, got {', '.join(both)} in both. Drop them from one list."
-            )
-
-    def _check_range(self, name: str, values: list[float]) -> None:
-        if len(values) != 2 or not 0.0 <= values[0] <= values[1] < float("inf"):
-            raise ValueError(
-                f"SceneConfig.{name} must be [lowest, highest] with 0 <= lowest <= highest, got "
-                f"{values!r}."
-            )
-        if name in ("height_range", "slenderness") and values[0] == 0.0:
-            raise ValueError(f"SceneConfig.{name} must start above 0, got {values!r}.")
-
-    def _check_placement(self) -> None:
-        if self.placement is None:
-            return
-        if len(self.placement) != self.dimension or any(len(pair) != 2 for pair in self.placement):
-            raise ValueError(
-                f"SceneConfig.placement must be one [lowest, highest] for each of the "
-                f"{self.dimension} axes, got {self.placement!r}."
-            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -346,49 +212,3 @@ def _require_inside(config: SceneConfig, body: Shape, center: np.ndarray) -> Non
             f"{axis} (walls at {config.wall:g} and {1.0 - config.wall:g} m). Lower "
             f"SceneConfig.height_range or wall, or change {remedy}."
         )
-
-
-ELASTIC3D = SceneConfig(
-    family="clamped",
-    dimension=3,
-    material="stable_neo_hookean",
-    material_parameters={"density": 1000.0, "youngs_modulus": 1e5, "poissons_ratio": 0.2},
-    shapes=["box", "ellipsoid", "superquadric", "cylinder", "cone", "stack"],
-    held_out_shapes=["capsule", "torus", "blob", "sphere"],
-    height_range=[0.24, 0.38],
-    spacing=1.0 / 64.0,
-    speed_range=[0.7, 1.7],
-)
-"""Clamped elastic bodies on a grid of 32 cells; frames of 5 ms show 1-4 swings in 150."""
-
-WATER2D = SceneConfig(
-    family="thrown",
-    dimension=2,
-    material="weakly_compressible_fluid",
-    material_parameters={"density": 1000.0, "bulk_modulus": 4e5},
-    shapes=["box"],
-    held_out_shapes=["disc", "blob"],
-    height_range=[0.1, 0.27],
-    slenderness=[0.5, 1.3],
-    spacing=1.0 / 128.0,
-    speed_range=[0.0, 0.7],
-    gravity=GRAVITY,
-    wall=13.0 / 128.0,
-)
-"""One drop of water on a grid of 128 cells; frames of 2.5 ms."""
-
-JELLY3D = SceneConfig(
-    family="thrown",
-    dimension=3,
-    material="stable_neo_hookean",
-    material_parameters={"density": 1000.0, "youngs_modulus": 1e5, "poissons_ratio": 0.2},
-    shapes=["box", "ellipsoid", "superquadric", "cylinder", "stack"],
-    held_out_shapes=["capsule", "torus", "blob"],
-    height_range=[0.24, 0.38],
-    spacing=1.0 / 64.0,
-    speed_range=[0.0, 3.0],
-    spin_range=[0.0, 3.0],
-    slenderness=[0.6, 1.0],
-    gravity=GRAVITY,
-)
-"""A bouncing elastic body on a grid of 32 cells; frames of 5 ms."""
