@@ -1,7 +1,10 @@
 """Walls of the box and the clamp plane, as nodes of the grid.
 
-Walls are frictionless and separating: on every node at or beyond a wall plane the component
-of velocity that points into the wall is set to zero, the others are left alone. Up to the first
+Walls are separating: they act on nodes at or beyond a wall plane whose velocity points into
+the wall, and let go of what moves off. A *slip* wall sets the component that points into it to
+zero and leaves the others alone (no friction). A *stick* wall sets the whole velocity to zero
+(no slip; friction without limit), as a rough floor does under a pile of sand; it still
+separates, because grains do not hang from a ceiling nor cling to a side wall. Up to the first
 row of nodes at the clamp plane (at most a quarter cell below it) the whole velocity is zero:
 were a row of nodes free among held particles, which carry no strain, the body would tear off
 its own clamp (measured on a bar when that row lies 0.44 cells below the plane; not at 0.25).
@@ -42,6 +45,9 @@ class Walls:
 
     upper: tuple[int, ...]
     """First blocked node at the upper wall of each axis."""
+
+    sticking: bool
+    """Whether a wall stops sliding too: the whole velocity that points into it is lost."""
 
     clamp_node: int
     """Last sticky node of axis 1, the first at the clamp plane; -1 without a clamp."""
@@ -110,4 +116,10 @@ def walls_of(scene: Scene, grid_cells: int) -> Walls:
     clamp_node = -1
     if scene.clamp_plane is not None:
         clamp_node = math.ceil(scene.clamp_plane * grid_cells - CLAMP_TOLERANCE)
-    return Walls(grid_cells=grid_cells, lower=lower, upper=upper, clamp_node=clamp_node)
+    return Walls(
+        grid_cells=grid_cells,
+        lower=lower,
+        upper=upper,
+        sticking=scene.wall_contact == "stick",
+        clamp_node=clamp_node,
+    )

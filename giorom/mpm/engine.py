@@ -124,11 +124,12 @@ class Engine:
     def _array(self, values: Tensor, dtype: Any) -> Any:
         return wp.array(values.float().contiguous().numpy(), dtype=dtype, device=self._device)
 
-    def _wall_arguments(self, walls: Walls) -> tuple[Any, Any, int]:
+    def _wall_arguments(self, walls: Walls) -> tuple[Any, Any, int, int]:
         padding = (0,) * (3 - self._dimension)
         return (
             wp.vec3i(*walls.lower, *padding),
             wp.vec3i(*walls.upper, *padding),
+            int(walls.sticking),
             walls.clamp_node,
         )
 

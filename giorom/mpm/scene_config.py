@@ -23,6 +23,10 @@ GRAVITY = 9.8
 """Standard choice of the reference data sets [m/s^2]."""
 
 
+WallContact = Literal["slip", "stick"]
+"""Friction of the walls: none, or without limit."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class SceneConfig:
     """How a random scene is drawn."""
@@ -66,6 +70,9 @@ class SceneConfig:
     wall: float = 0.0625
     """Distance of the walls from the sides of the unit box [m]; two grid cells or more."""
 
+    wall_contact: WallContact = "slip"
+    """``slip``: walls without friction. ``stick``: nothing pressed on a wall slides along it."""
+
     placement: list[list[float]] | None = None
     """Range of the centre on each axis of a thrown body [m]; null: wherever it fits."""
 
@@ -85,6 +92,10 @@ class SceneConfig:
         if self.family not in ("clamped", "thrown"):
             raise ValueError(
                 f"SceneConfig.family must be 'clamped' or 'thrown', got {self.family!r}."
+            )
+        if self.wall_contact not in ("slip", "stick"):
+            raise ValueError(
+                f"SceneConfig.wall_contact must be 'slip' or 'stick', got {self.wall_contact!r}."
             )
         make_material(self.material, self.material_parameters)
         self._check_shapes()

@@ -16,7 +16,7 @@ from torch import Tensor
 from giorom.mpm.materials import Material, make_material, material_attributes
 from giorom.mpm.mesh import load_mesh_shape
 from giorom.mpm.motion import clamped_velocity, thrown_velocity
-from giorom.mpm.scene_config import SceneConfig
+from giorom.mpm.scene_config import SceneConfig, WallContact
 from giorom.mpm.shape_library import SHAPES, Proportions, draw_shape
 from giorom.mpm.shapes import Shape, fill
 from giorom.state import KINEMATIC
@@ -46,6 +46,9 @@ class Scene:
 
     bounds: Float[Tensor, "d 2"]
     """Lower and upper wall on each axis [m]."""
+
+    wall_contact: WallContact = "slip"
+    """Whether what is pressed on a wall slides along it; see ``giorom.mpm.boundary``."""
 
     gravity: float = 0.0
     """Downward acceleration [m/s^2]."""
@@ -97,6 +100,7 @@ def draw_scene(config: SceneConfig, *, seed: int, shape: str | None = None) -> S
         "shape_parameters": body.parameters,
         "spacing": config.spacing,
         "gravity": config.gravity,
+        "wall_contact": config.wall_contact,
         "clamp_plane": start.clamp_plane,
         "initial_motion": start.drawn,
     }
@@ -108,6 +112,7 @@ def draw_scene(config: SceneConfig, *, seed: int, shape: str | None = None) -> S
         particle_type=torch.from_numpy(types),
         material=material,
         bounds=torch.tensor([[config.wall, 1.0 - config.wall]] * config.dimension),
+        wall_contact=config.wall_contact,
         gravity=config.gravity,
         clamp_plane=start.clamp_plane,
         attributes=attributes | material_attributes(material),

@@ -177,6 +177,7 @@ def _grid_update(dimension: int, module: Any) -> Any:
         cells: int,
         lower: wp.vec3i,
         upper: wp.vec3i,
+        sticking: int,
         clamp_node: int,
     ):
         number = wp.tid()
@@ -184,20 +185,20 @@ def _grid_update(dimension: int, module: Any) -> Any:
         mass = value[dimension]
         if mass > 0.0:
             remainder = number
+            stopped = bool(False)  # noqa: UP018  (a constant could not change in a kernel)
             for back in range(dimension):
                 axis = dimension - 1 - back
                 i = remainder % cells
                 remainder = remainder / cells
                 speed = value[axis] / mass + dt * gravity[axis]
-                if i <= lower[axis]:
-                    speed = wp.max(speed, 0.0)
-                if i >= upper[axis]:
-                    speed = wp.min(speed, 0.0)
+                if (i <= lower[axis] and speed < 0.0) or (i >= upper[axis] and speed > 0.0):
+                    speed = 0.0
+                    stopped = True
                 value[axis] = speed
             height = number % cells
             if wp.static(dimension == 3):
                 height = (number / cells) % cells
-            if height <= clamp_node:
+            if height <= clamp_node or (stopped and sticking != 0):
                 for axis in range(dimension):
                     value[axis] = 0.0
             grid[number] = value
