@@ -10,7 +10,7 @@ SI units. Warp is imported only when a simulation starts.
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -105,32 +105,83 @@ def simulate(
     Source:
         Hu et al., "A Moving Least Squares Material Point Method", SIGGRAPH 2018.
     """
-    walls = walls_of(scene, solver.grid_cells)
-    walls.require_inside(scene.position)
-    substeps = _checked_substeps(scene, solver)
-
-    from giorom.mpm.engine import Engine
-
-    engine = Engine(scene, walls, substep_dt=solver.frame_dt / substeps, device=device)
+    run = Run(scene, solver, device=device)
     start = time.perf_counter()
-    frames = [engine.position()]
-    for frame in range(1, solver.frames):
-        engine.advance(substeps)
-        frames.append(engine.position())
-        _require_sound(frames[-1], engine.velocity(), walls, engine.substep_dt, frame)
-        if progress is not None:
+    position = torch.empty(solver.frames, *scene.position.shape)
+    for frame, current in enumerate(run.frames()):
+        position[frame] = current
+        if progress is not None and frame > 0:
             progress(frame + 1, solver.frames)
-    seconds = time.perf_counter() - start
-    return Trajectory(
-        position=torch.stack(frames),
-        particle_type=scene.particle_type.clone(),
-        frame_dt=solver.frame_dt,
-        bounds=walls.planes.to(torch.float32),
-        attributes=scene.attributes
-        | _run_attributes(scene, solver, substeps, seconds)
-        | {"effective_clamp_plane": walls.clamp_plane}
-        | engine.attributes,
-    )
+    return run.trajectory(position, seconds=time.perf_counter() - start)
+
+
+class Run:
+    """A simulation that is ready to start: its frames come one by one, in constant memory."""
+
+    def __init__(self, scene: Scene, solver: SolverConfig, *, device: str = "cpu") -> None:
+        self.scene = scene
+        self.solver = solver
+        self.walls = walls_of(scene, solver.grid_cells)
+        self.walls.require_inside(scene.position)
+        self.substeps = chosen_substeps(scene, solver)
+
+        from giorom.mpm.engine import Engine
+
+        self._engine = Engine(
+            scene, self.walls, substep_dt=solver.frame_dt / self.substeps, device=device
+        )
+
+    def frames(self) -> Iterator[Float[Tensor, "p d"]]:
+        """Simulate and give the positions of each frame, the initial one first [m].
+
+        Raises:
+            SimulationError: If a frame breaks a guard.
+        """
+        engine = self._engine
+        yield engine.position()
+        for frame in range(1, self.solver.frames):
+            engine.advance(self.substeps)
+            position = engine.position()
+            _require_sound(position, engine.velocity(), self.walls, engine.substep_dt, frame)
+            yield position
+
+    @property
+    def bounds(self) -> Float[Tensor, "d 2"]:
+        """Effective wall planes [m]."""
+        return self.walls.planes.to(torch.float32)
+
+    @property
+    def attributes(self) -> dict[str, Any]:
+        """What makes the trajectory; the same in every repetition."""
+        return (
+            self.scene.attributes
+            | {
+                "solver": "MLS-MPM, APIC, quadratic B-splines",
+                "grid_cells": self.solver.grid_cells,
+                "substeps": self.substeps,
+                "substep_dt": self.solver.frame_dt / self.substeps,
+                "effective_clamp_plane": self.walls.clamp_plane,
+            }
+            | self._engine.attributes
+        )
+
+    def work(self, frames: int) -> float:
+        """Particle-substeps behind a number of frames after the initial one."""
+        return float(len(self.scene.position)) * self.substeps * frames
+
+    def trajectory(self, position: Float[Tensor, "t p d"], *, seconds: float) -> Trajectory:
+        """The frames as a trajectory that says how long they took."""
+        measured = {
+            "seconds": seconds,
+            "particle_substeps_per_second": self.work(len(position) - 1) / seconds,
+        }
+        return Trajectory(
+            position=position,
+            particle_type=self.scene.particle_type.clone(),
+            frame_dt=self.solver.frame_dt,
+            bounds=self.bounds,
+            attributes=self.attributes | measured,
+        )
 
 
 def fastest_speed(scene: Scene) -> float:
@@ -172,7 +223,12 @@ def largest_substep(scene: Scene, grid_cells: int) -> tuple[float, str]:
     return min(rules)
 
 
-def _checked_substeps(scene: Scene, solver: SolverConfig) -> int:
+def chosen_substeps(scene: Scene, solver: SolverConfig) -> int:
+    """Substeps of a frame: those asked for, or the fewest that the time-step rules allow.
+
+    Raises:
+        ValueError: If those asked for are too few, or more than ``MOST_SUBSTEPS`` are needed.
+    """
     limit, rule = largest_substep(scene, solver.grid_cells)
     asked = solver.frame_dt / limit if limit > 0.0 else math.inf
     if not max(asked, solver.substeps or 0) <= MOST_SUBSTEPS:
@@ -221,17 +277,3 @@ def _require_sound(
             f"most {WALL_TOLERANCE / walls.grid_cells:.3g} m is allowed. Raise "
             f"SolverConfig.substeps or lower the initial speed."
         )
-
-
-def _run_attributes(
-    scene: Scene, solver: SolverConfig, substeps: int, seconds: float
-) -> dict[str, Any]:
-    work = scene.position.shape[0] * substeps * (solver.frames - 1)
-    return {
-        "solver": "MLS-MPM, APIC, quadratic B-splines",
-        "grid_cells": solver.grid_cells,
-        "substeps": substeps,
-        "substep_dt": solver.frame_dt / substeps,
-        "seconds": seconds,
-        "particle_substeps_per_second": work / seconds,
-    }
