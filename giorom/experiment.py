@@ -25,6 +25,7 @@ from giorom.data.windows import (
 )
 from giorom.evaluation.metrics import squared_error_per_frame
 from giorom.evaluation.rollout import roll_out
+from giorom.evaluation.trivial import hold_still
 from giorom.features import compute_features
 from giorom.graph import RadiusChoice, choose_radius
 from giorom.normalization import Normalization
@@ -354,11 +355,12 @@ def _validation(
     )
     state: SparseState = batch.state.to(device)
     truth: Tensor = batch.target.transpose(0, 1)
+    known = truth.to(device)
 
     def validate(model: nn.Module) -> dict[str, float]:
-        result = roll_out(state, frames, connect=connect, acceleration=model)
+        result = roll_out(state, frames, connect=connect, acceleration=model, prescribed=known)
         error = squared_error_per_frame(result.position.cpu(), truth)
-        still = squared_error_per_frame(state.position.cpu().expand_as(truth), truth)
+        still = squared_error_per_frame(hold_still(state, frames, prescribed=known).cpu(), truth)
         mse = float(error.mean()) if result.diverged_at is None else float("inf")
         return {"rollout_mse": mse, "static_mse": float(still.mean())}
 
@@ -410,10 +412,16 @@ def _identity(experiment: Experiment, config: SimulatorConfig, *, seed: int) -> 
 
 def _check_match(experiment: Experiment, metadata: dict[str, Any], folder: Path) -> None:
     """Reject data that the experiment was not made for."""
-    wanted = {"dim": experiment.scene.dimension, "dt": experiment.solver.frame_dt}
-    for key, value in wanted.items():
-        if abs(float(metadata[key]) - value) > 1e-9 * abs(value):
-            raise ValueError(
-                f"{folder} has {key}={metadata[key]}, the experiment {experiment.system} expects "
-                f"{value}. Use the preset the data were made with."
-            )
+    found, wanted = int(metadata["dim"]), experiment.scene.dimension
+    if found != wanted:
+        raise ValueError(
+            f"{folder} has dim={found}, the experiment {experiment.system} expects {wanted}. Use "
+            f"the preset the data were made with; for imported data, one of {found} dimensions."
+        )
+    frame_dt, expected = float(metadata["dt"]), experiment.solver.frame_dt
+    if abs(frame_dt - expected) > 1e-6 * expected:
+        raise ValueError(
+            f"{folder} has dt={frame_dt:g}, the experiment {experiment.system} expects "
+            f"{expected:g}. Use the preset the data were made with; for imported data, change it "
+            f"with --solver.frame_dt {frame_dt!r}."
+        )

@@ -77,7 +77,12 @@ def connect_within(radius: float, *, configuration: str) -> Connect:
 
 
 def rollout(
-    state: SparseState, frames: int, *, connect: Connect, acceleration: Acceleration
+    state: SparseState,
+    frames: int,
+    *,
+    connect: Connect,
+    acceleration: Acceleration,
+    prescribed: Float[Tensor, "t q d"] | None = None,
 ) -> Iterator[SparseState]:
     """Simulate the samples: graph, network, integration, frame after frame.
 
@@ -88,20 +93,29 @@ def rollout(
         frames: Number of frames to add.
         connect: Stage 3.
         acceleration: Stage 4.
+        prescribed: Positions at each of the frames to come, of which the kinematic rows are used
+            [m]; by default kinematic particles stay where they are.
 
     Yields:
         The state after each frame.
 
     Raises:
+        ValueError: If the prescribed motion ends before the rollout.
         FloatingPointError: If a position stops being finite; says at which frame.
 
     Source:
         arXiv:2407.03925v2, Algorithm 1.
     """
+    if prescribed is not None and len(prescribed) < frames:
+        raise ValueError(
+            f"the motion of the kinematic particles is known for {len(prescribed)} frames, but "
+            f"{frames} are to be simulated. Ask for at most {len(prescribed)}."
+        )
     for frame in range(frames):
+        known = None if prescribed is None else prescribed[frame]
         with torch.no_grad():
             edges = connect(state)
-            state = advance(state, acceleration(state, edges))
+            state = advance(state, acceleration(state, edges), prescribed=known)
         if not bool(torch.isfinite(state.position).all()):
             raise FloatingPointError(
                 f"the rollout is no longer finite at frame {frame + 1} of {frames}: the "
@@ -117,9 +131,12 @@ def full_order_rollout(
     connect: Connect,
     acceleration: Acceleration,
     decode: Decode,
+    prescribed: Float[Tensor, "t q d"] | None = None,
 ) -> Iterator[Float[Tensor, "p d"]]:
     """Algorithm 1 to its end: positions of all points, frame after frame [m]."""
-    for sparse in rollout(state, frames, connect=connect, acceleration=acceleration):
+    for sparse in rollout(
+        state, frames, connect=connect, acceleration=acceleration, prescribed=prescribed
+    ):
         yield decode(sparse.position)
 
 

@@ -191,16 +191,24 @@ class Simulator(nn.Module):
         *,
         frames: int,
         samples: Int[Tensor, " q"],
+        prescribed: Float[Tensor, "t p d"] | None = None,
     ) -> Iterator[Float[Tensor, "p d"]]:
         """Positions of all particles, frame after frame [m] (Algorithm 1)."""
         state = self.start(position, velocity, particle_type, samples=samples)
-        yield from full_order_rollout(
+        kinematic = particle_type == KINEMATIC
+        motion = full_order_rollout(
             state,
             frames,
             connect=self.connect,
             acceleration=self.dynamics,
-            decode=self.decoder(position, particle_type == KINEMATIC, samples=samples),
+            decode=self.decoder(position, kinematic, samples=samples),
+            prescribed=None if prescribed is None else prescribed[:, samples],
         )
+        if prescribed is None:
+            yield from motion
+            return
+        for frame, decoded in enumerate(motion):
+            yield torch.where(kinematic[:, None], prescribed[frame], decoded)
 
     def rollout(
         self,
@@ -210,22 +218,32 @@ class Simulator(nn.Module):
         *,
         frames: int,
         sparse_points: int | None = None,
+        prescribed: Float[Tensor, "t p d"] | None = None,
     ) -> Trajectory:
         """Simulate a body: sample it, step the samples, recover every particle.
 
         Args:
             position: Undeformed positions of all particles [m].
             velocity: Initial velocities [m/s].
-            particle_type: GNS types; kinematic particles stay where they are.
+            particle_type: GNS types.
             frames: Number of frames to add.
             sparse_points: Number of samples; by default the trained reduction.
+            prescribed: Positions of all particles at each of those frames, of which the kinematic
+                ones are used [m]; by default kinematic particles stay where they are.
 
         Returns:
             ``frames + 1`` frames, the first of which is ``position``.
         """
         check_frames(frames, position)
         samples = self.sample(position, count=sparse_points)
-        motion = self.frames(position, velocity, particle_type, frames=frames, samples=samples)
+        motion = self.frames(
+            position,
+            velocity,
+            particle_type,
+            frames=frames,
+            samples=samples,
+            prescribed=prescribed,
+        )
         return Trajectory(
             position=torch.stack([position, *motion]),
             particle_type=particle_type,

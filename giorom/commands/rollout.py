@@ -41,7 +41,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     if (arguments.shape is None) == (arguments.data is None):
         raise ValueError("give either --shape or --data: the body to start from.")
     simulator = Simulator.from_pretrained(chosen_model(arguments)).to(arguments.device)
-    position, velocity, particle_type = _start(arguments, simulator)
+    position, velocity, particle_type, prescribed = _start(arguments, simulator)
     start = time.perf_counter()
     motion = simulator.rollout(
         position.to(arguments.device),
@@ -49,6 +49,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
         particle_type.to(arguments.device),
         frames=arguments.frames,
         sparse_points=arguments.sparse,
+        prescribed=None if prescribed is None else prescribed.to(arguments.device),
     ).to("cpu")
     seconds = time.perf_counter() - start
     written = write_trajectory(motion, arguments.out)
@@ -69,11 +70,11 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
 
 def _start(
     arguments: argparse.Namespace, simulator: Simulator
-) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Positions, velocities and types of all particles at the start."""
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor | None]:
+    """Positions, velocities and types of all particles at the start, and the prescribed motion."""
     if arguments.shape is not None:
         scene = draw_scene(simulator.config.scene, seed=arguments.seed, shape=arguments.shape)
-        return scene.position, scene.velocity, scene.particle_type
+        return scene.position, scene.velocity, scene.particle_type, None
     trajectory: Trajectory = read_trajectory(arguments.data, arguments.split, arguments.trajectory)
     check_trajectory(simulator, trajectory)
     if trajectory.frame_count < 2:
@@ -82,4 +83,11 @@ def _start(
             f"for a velocity."
         )
     velocity = (trajectory.position[1] - trajectory.position[0]) / trajectory.frame_dt
-    return trajectory.position[0], velocity, trajectory.particle_type
+    return trajectory.position[0], velocity, trajectory.particle_type, _prescribed(trajectory)
+
+
+def _prescribed(trajectory: Trajectory) -> torch.Tensor | None:
+    """Positions after the first frame, where some kinematic particle moves."""
+    kinematic = trajectory.position[:, trajectory.kinematic]
+    moves = bool((kinematic != kinematic[:1]).any())
+    return trajectory.position[1:] if moves else None

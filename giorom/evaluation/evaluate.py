@@ -2,7 +2,8 @@
 
 Three questions are kept apart: how good the time-stepper is on the samples, how good the field is
 with true samples (the projection floor), and how good both are together. The trivial predictions
-stand beside each.
+stand beside each. Kinematic particles follow the data in every prediction: they have no error, and
+the means are over all particles, as in the paper.
 """
 
 from dataclasses import dataclass
@@ -21,7 +22,7 @@ from giorom.evaluation.metrics import (
 from giorom.evaluation.rollout import roll_out
 from giorom.evaluation.trivial import constant_velocity, free_fall, hold_still
 from giorom.integrate import advance
-from giorom.pipeline import start_from_trajectory
+from giorom.pipeline import Decode, start_from_trajectory
 from giorom.simulator import Simulator
 from giorom.state import SparseState, Trajectory
 
@@ -106,9 +107,14 @@ def evaluate_trajectory(
     frames = available if frames is None else min(frames, available)
     samples = simulator.sample(trajectory.position[0])
     state = start_from_trajectory(trajectory, samples, history=history)
-    sparse = roll_out(state, frames, connect=simulator.connect, acceleration=simulator.dynamics)
-    window = slice(history, history + frames)
-    truth = trajectory.position[window]
+    truth = trajectory.position[history : history + frames]
+    sparse = roll_out(
+        state,
+        frames,
+        connect=simulator.connect,
+        acceleration=simulator.dynamics,
+        prescribed=truth[:, samples],
+    )
     gravity = _gravity(trajectory)
     decode = simulator.decoder(trajectory.position[0], trajectory.kinematic, samples=samples)
     everything = torch.arange(trajectory.position.shape[1])
@@ -117,15 +123,15 @@ def evaluate_trajectory(
         given=trajectory.position[:history, samples],
         truth=truth[:, samples],
         predicted=sparse.position,
-        trivial=_trivial(state, frames, gravity),
+        trivial=_trivial(state, truth[:, samples], gravity),
     ).scores()
     full_scores = Comparison(
         given=trajectory.position[:history],
         truth=truth,
-        predicted=torch.stack([decode(position) for position in sparse.position]),
-        trivial=_trivial(full_state, frames, gravity),
+        predicted=_decoded(decode, sparse.position, trajectory.kinematic, truth),
+        trivial=_trivial(full_state, truth, gravity),
     ).scores()
-    floor = torch.stack([decode(position) for position in truth[:, samples]])
+    floor = _decoded(decode, truth[:, samples], trajectory.kinematic, truth)
     floor_error = squared_error_per_frame(floor, truth)
     full_scores["projection_floor_mse"] = float(floor_error.sum()) / (frames + history)
     sparse_scores["one_step_mse"], full_scores["one_step_mse"] = one_step_errors(
@@ -157,10 +163,12 @@ def one_step_errors(
     for frame in range(history - 1, history - 1 + frames, ONE_STEP_STRIDE):
         state = start_from_trajectory(trajectory, samples, history=history, frame=frame)
         with torch.no_grad():
-            later = advance(state, simulator.dynamics(state, simulator.connect(state)))
-        truth = trajectory.position[frame + 1]
-        sparse_errors.append(squared_error_per_frame(later.position[None], truth[None, samples]))
-        full_errors.append(squared_error_per_frame(decode(later.position)[None], truth[None]))
+            acceleration = simulator.dynamics(state, simulator.connect(state))
+        truth = trajectory.position[frame + 1 : frame + 2]
+        later = advance(state, acceleration, prescribed=truth[0, samples]).position[None]
+        sparse_errors.append(squared_error_per_frame(later, truth[:, samples]))
+        full = _decoded(decode, later, trajectory.kinematic, truth)
+        full_errors.append(squared_error_per_frame(full, truth))
     return float(torch.cat(sparse_errors).mean()), float(torch.cat(full_errors).mean())
 
 
@@ -210,12 +218,19 @@ def _mean_of(scores: list[dict[str, Any]]) -> dict[str, Any]:
     return result
 
 
-def _trivial(state: SparseState, frames: int, gravity: Tensor) -> dict[str, Tensor]:
+def _trivial(state: SparseState, truth: Tensor, gravity: Tensor) -> dict[str, Tensor]:
+    frames = len(truth)
     return {
-        "constant_velocity": constant_velocity(state, frames),
-        "free_fall": free_fall(state, frames, gravity=gravity),
-        "static": hold_still(state, frames),
+        "constant_velocity": constant_velocity(state, frames, prescribed=truth),
+        "free_fall": free_fall(state, frames, gravity=gravity, prescribed=truth),
+        "static": hold_still(state, frames, prescribed=truth),
     }
+
+
+def _decoded(decode: Decode, samples: Tensor, kinematic: Tensor, truth: Tensor) -> Tensor:
+    """Positions of all particles at every frame; the kinematic ones where the data have them."""
+    position = torch.stack([decode(frame) for frame in samples])
+    return torch.where(kinematic[:, None], truth, position)
 
 
 def _gravity(trajectory: Trajectory) -> Tensor:

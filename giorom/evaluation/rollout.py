@@ -22,18 +22,26 @@ class SparseRollout:
 
 
 def roll_out(
-    state: SparseState, frames: int, *, connect: Connect, acceleration: Acceleration
+    state: SparseState,
+    frames: int,
+    *,
+    connect: Connect,
+    acceleration: Acceleration,
+    prescribed: Float[Tensor, "t q d"] | None = None,
 ) -> SparseRollout:
     """Positions of the samples for ``frames`` frames; never raises on divergence.
 
-    A sample further outside the walls than the domain is wide counts as diverged: left alone it
-    would overflow a few frames later.
+    Kinematic samples follow ``prescribed``, as in ``giorom.pipeline.rollout``. A sample further
+    outside the walls than the domain is wide counts as diverged: left alone it would overflow a
+    few frames later.
     """
     extent = state.bounds[:, 1] - state.bounds[:, 0]
     low, high = state.bounds[:, 0] - extent, state.bounds[:, 1] + extent
     positions = []
     try:
-        for later in rollout(state, frames, connect=connect, acceleration=acceleration):
+        for later in rollout(
+            state, frames, connect=connect, acceleration=acceleration, prescribed=prescribed
+        ):
             if bool(((later.position < low) | (later.position > high)).any()):
                 break
             positions.append(later.position)

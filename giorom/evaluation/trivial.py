@@ -1,6 +1,7 @@
 """Predictions that need no model: what any surrogate has to beat.
 
-All start from the same given frames as the model. Kinematic particles follow the scene.
+All start from the same given frames as the model. Kinematic particles follow the scene: the
+positions ``prescribed`` at each frame [m] where these are known, else they stay.
 """
 
 import torch
@@ -10,21 +11,30 @@ from torch import Tensor
 from giorom.state import SparseState
 
 
-def hold_still(state: SparseState, frames: int) -> Float[Tensor, "t q d"]:
+def hold_still(
+    state: SparseState, frames: int, *, prescribed: Float[Tensor, "t q d"] | None = None
+) -> Float[Tensor, "t q d"]:
     """The last given frame, for ever [m]."""
-    return state.position.expand(frames, -1, -1)
+    return _held(state.position.expand(frames, -1, -1), state, prescribed)
 
 
-def constant_velocity(state: SparseState, frames: int) -> Float[Tensor, "t q d"]:
+def constant_velocity(
+    state: SparseState, frames: int, *, prescribed: Float[Tensor, "t q d"] | None = None
+) -> Float[Tensor, "t q d"]:
     """Straight on with the last velocity, stopped at the walls [m]."""
-    return _ballistic(state, frames, torch.zeros_like(state.bounds[:, 0]))
+    still = torch.zeros_like(state.bounds[:, 0])
+    return _held(_ballistic(state, frames, still), state, prescribed)
 
 
 def free_fall(
-    state: SparseState, frames: int, *, gravity: Float[Tensor, " d"]
+    state: SparseState,
+    frames: int,
+    *,
+    gravity: Float[Tensor, " d"],
+    prescribed: Float[Tensor, "t q d"] | None = None,
 ) -> Float[Tensor, "t q d"]:
     """Semi-implicit Euler under gravity alone, stopped at the walls [m]."""
-    return _ballistic(state, frames, gravity)
+    return _held(_ballistic(state, frames, gravity), state, prescribed)
 
 
 def _ballistic(state: SparseState, frames: int, gravity: Tensor) -> Float[Tensor, "t q d"]:
@@ -32,5 +42,14 @@ def _ballistic(state: SparseState, frames: int, gravity: Tensor) -> Float[Tensor
     time = step * state.frame_dt
     fall = 0.5 * gravity * time * (time + state.frame_dt)
     position = state.position + state.velocity * time + fall
-    position = torch.clamp(position, state.bounds[:, 0], state.bounds[:, 1])
-    return torch.where(state.kinematic[:, None], state.position, position)
+    return torch.clamp(position, state.bounds[:, 0], state.bounds[:, 1])
+
+
+def _held(
+    position: Float[Tensor, "t q d"],
+    state: SparseState,
+    prescribed: Float[Tensor, "t q d"] | None,
+) -> Float[Tensor, "t q d"]:
+    """Put the kinematic particles where the scene has them."""
+    known = state.position if prescribed is None else prescribed
+    return torch.where(state.kinematic[:, None], known, position)
