@@ -4,12 +4,16 @@ import json
 import subprocess
 import sys
 from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
+from scipy.spatial.distance import cdist
 
 from giorom.mpm import SolverConfig, draw_scene, simulate
+from giorom.mpm.bodies import draw_bodies
 from giorom.mpm.scene_config import ELASTIC3D, JELLY3D, WATER2D
 from giorom.state import ELASTIC, KINEMATIC, WATER
 
@@ -107,11 +111,68 @@ def test_body_swings_about_its_clamp_wherever_the_plane_lies(clamped_fraction: f
     assert swing.mean(dim=0).norm() < swing.norm(dim=1).max() / 3.0
 
 
+SEVERAL = replace(
+    WATER2D, bodies=[2, 4], height_range=[0.08, 0.16], speed_range=[0.5, 1.0], spin_range=[0.0, 3.0]
+)
+
+
 def test_water_drop_is_of_type_water_and_held_out_shapes_come_on_request():
     """The ``shape`` argument reaches shapes that are never drawn."""
     scene = draw_scene(WATER2D, seed=0, shape="disc")
     assert scene.attributes["shape"] == "disc"
     assert set(scene.particle_type.tolist()) == {WATER}
+
+
+def test_bodies_of_one_scene_keep_a_cell_apart():
+    """Brute force over the particles of any two bodies; their number is in the range."""
+    counts = set()
+    for seed in range(40):
+        bodies = draw_bodies(SEVERAL, seed=seed)
+        counts.add(len(bodies))
+        for one, other in combinations(bodies, 2):
+            nearest = cdist(one.position, other.position).min()
+            assert nearest > 2.0 * SEVERAL.spacing
+    assert counts == {2, 3, 4}
+
+
+def test_scene_of_several_bodies_has_the_momentum_of_its_parts():
+    """Each centre of mass moves with its drawn velocity: P = sum m_b v_b."""
+    scene, bodies = draw_scene(SEVERAL, seed=3), draw_bodies(SEVERAL, seed=3)
+    momentum = (scene.volume[:, None] * scene.velocity).double().sum(dim=0)
+    expected = sum(
+        body.volume * len(body.position) * torch.tensor(body.motion["linear_velocity"])
+        for body in bodies
+    )
+    torch.testing.assert_close(momentum, expected.double(), rtol=1e-5, atol=1e-8)
+    assert len(scene.attributes["bodies"]) == len(bodies)
+    start = 0
+    for body in bodies:
+        part = slice(start, start + len(body.position))
+        gradient = torch.from_numpy(body.gradient).float().expand_as(scene.affine_velocity[part])
+        assert torch.equal(scene.affine_velocity[part], gradient)
+        start = part.stop
+    assert start == len(scene.position)
+
+
+def test_scene_that_cannot_hold_its_bodies_is_refused():
+    """Nine boxes of half the width of the box: the message says which and what to change."""
+    with pytest.raises(ValueError, match=r"no place apart .* Lower SceneConfig\.bodies"):
+        draw_scene(replace(SEVERAL, bodies=[9, 9], height_range=[0.4, 0.4]), seed=0)
+
+
+def test_large_body_keeps_to_the_part_of_its_placement_where_it_fits():
+    """Half a metre wide and a range that reaches to the wall: always inside."""
+    config = replace(
+        WATER2D,
+        height_range=[0.5, 0.5],
+        slenderness=[1.0, 1.0],
+        placement=[[0.11, 0.5], [0.4, 0.89]],
+    )
+    centers = np.array([draw_bodies(config, seed=seed)[0].center for seed in range(30)])
+    low, high = config.wall + 0.25, 1.0 - config.wall - 0.25
+    assert ((centers >= low - 1e-9) & (centers <= high + 1e-9)).all()
+    assert centers[:, 0].max() <= 0.5
+    assert centers[:, 1].min() >= 0.4
 
 
 def test_lying_mesh_is_clamped_over_its_own_height(tmp_path: Path):
@@ -146,6 +207,9 @@ def test_scene_that_reaches_beyond_a_wall_is_refused():
         ({"clamped_fraction": 1.0}, "between 0 and 1"),
         ({"impulses": ["jump"]}, "bend, sway, twist, axial"),
         ({"placement": [[0.5, 0.5]]}, "each of the 3 axes"),
+        ({"bodies": [1, 2]}, "a clamped scene has one body"),
+        ({"bodies": [2, 1]}, "1 <= fewest <= most"),
+        ({"family": "thrown", "bodies": [0, 1]}, "1 <= fewest <= most"),
         ({"material": "steel"}, "no material 'steel'"),
     ],
 )

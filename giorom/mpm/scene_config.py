@@ -7,7 +7,8 @@ Two families:
     A body stands upright on its clamp in still air (no gravity unless asked for). Its lowest
     part is kinematic; an initial velocity that vanishes at the clamp sets it swinging.
 ``thrown``
-    A body starts at a random place in the box with a random velocity and spin, and falls.
+    One or several bodies start at random places in the box, apart from each other, with random
+    velocities and spins, and fall.
 
 The domain is the unit box, axis 1 points up. SI units.
 """
@@ -18,6 +19,9 @@ from typing import Literal
 from giorom.mpm.materials import make_material
 from giorom.mpm.motion import IMPULSES
 from giorom.mpm.shape_library import SHAPES, require_shape
+
+MOST_BODIES = 64
+"""Most bodies of one scene; more do not fit apart into the box."""
 
 GRAVITY = 9.8
 """Standard choice of the reference data sets [m/s^2]."""
@@ -85,6 +89,9 @@ class SceneConfig:
     impulses: list[str] = field(default_factory=lambda: list(IMPULSES))
     """Parts of the initial motion of a clamped body: bend, sway, twist, axial."""
 
+    bodies: list[int] = field(default_factory=lambda: [1, 1])
+    """Fewest and most bodies of a thrown scene; no two bounding boxes come nearer than a cell."""
+
     def __post_init__(self) -> None:
         """Reject what no scene can be drawn from."""
         if self.dimension not in (2, 3):
@@ -123,6 +130,7 @@ class SceneConfig:
                 f"{self.impulses!r}."
             )
         self._check_placement()
+        self._check_bodies()
 
     def _check_shapes(self) -> None:
         if not self.shapes:
@@ -155,6 +163,18 @@ class SceneConfig:
             raise ValueError(
                 f"SceneConfig.placement must be one [lowest, highest] for each of the "
                 f"{self.dimension} axes, got {self.placement!r}."
+            )
+
+    def _check_bodies(self) -> None:
+        if len(self.bodies) != 2 or not 1 <= self.bodies[0] <= self.bodies[1] <= MOST_BODIES:
+            raise ValueError(
+                f"SceneConfig.bodies must be [fewest, most] with 1 <= fewest <= most <= "
+                f"{MOST_BODIES}, got {self.bodies!r}."
+            )
+        if self.family == "clamped" and self.bodies != [1, 1]:
+            raise ValueError(
+                "a clamped scene has one body; SceneConfig.bodies is for thrown ones. Set "
+                "family: thrown, or remove it."
             )
 
 

@@ -5,7 +5,6 @@ seed into one ``Scene``, always the same. SI units. This module needs no simulat
 """
 
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,18 +12,15 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from giorom.mpm.bodies import Body, draw_bodies
 from giorom.mpm.materials import Material, make_material, material_attributes
-from giorom.mpm.mesh import load_mesh_shape
-from giorom.mpm.motion import clamped_velocity, thrown_velocity
 from giorom.mpm.scene_config import SceneConfig, WallContact
-from giorom.mpm.shape_library import SHAPES, Proportions, draw_shape
-from giorom.mpm.shapes import Shape, fill
 from giorom.state import KINEMATIC
 
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
-    """One body, ready to simulate."""
+    """One or several bodies, ready to simulate."""
 
     position: Float[Tensor, "p d"]
     """Initial positions [m]."""
@@ -68,152 +64,56 @@ class Scene:
 def draw_scene(config: SceneConfig, *, seed: int, shape: str | None = None) -> Scene:
     """Draw one scene of a family.
 
-    Shape, filling and motion use independent random streams of the same seed.
-
     Args:
         config: The family.
         seed: Number of the scene; the same seed gives the same scene.
-        shape: Name of a shape, held-out ones too, or path of a closed mesh file, in place
-            of a drawn name.
+        shape: Name of a shape, held-out ones too, or path of a closed mesh file, for every
+            body in place of a drawn name.
 
     Returns:
         The scene.
 
     Raises:
-        ValueError: If the shape is unknown or unusable, or the body reaches beyond the walls.
+        ValueError: If the shape is unknown or unusable, a body reaches beyond the walls, or
+            finds no place apart from the others.
     """
-    streams = [np.random.default_rng([seed, stream]) for stream in range(3)]
-    body = _draw_body(config, shape, streams[0])
-    local, volume = fill(body, spacing=config.spacing, generator=streams[1])
-    center = _center(config, body, streams[2])
-    _require_inside(config, body, center)
-    start = (_clamped if config.family == "clamped" else _thrown)(
-        config, body, local + center, streams[2]
-    )
+    bodies = draw_bodies(config, seed=seed, shape=shape)
     material = make_material(config.material, config.material_parameters)
-    types = np.where(start.kinematic, KINEMATIC, material.particle_type)
-    attributes = {
-        "family": config.family,
-        "seed": seed,
-        "shape": body.name,
-        "shape_extent": list(body.extent),
-        "shape_parameters": body.parameters,
-        "spacing": config.spacing,
-        "gravity": config.gravity,
-        "wall_contact": config.wall_contact,
-        "clamp_plane": start.clamp_plane,
-        "initial_motion": start.drawn,
-    }
+    held = np.concatenate([body.kinematic for body in bodies])
+    counts = [len(body.position) for body in bodies]
+    gradients = torch.tensor(np.array([body.gradient for body in bodies])).float()
     return Scene(
-        position=torch.from_numpy(local + center).float(),
-        velocity=torch.from_numpy(start.velocity).float(),
-        affine_velocity=torch.from_numpy(start.gradient).float().repeat(len(local), 1, 1),
-        volume=torch.full((len(local),), volume),
-        particle_type=torch.from_numpy(types),
+        position=_joined([body.position for body in bodies]),
+        velocity=_joined([body.velocity for body in bodies]),
+        affine_velocity=gradients.repeat_interleave(torch.tensor(counts), dim=0),
+        volume=_joined([np.full(len(body.position), body.volume) for body in bodies]),
+        particle_type=torch.from_numpy(np.where(held, KINEMATIC, material.particle_type)),
         material=material,
         bounds=torch.tensor([[config.wall, 1.0 - config.wall]] * config.dimension),
         wall_contact=config.wall_contact,
         gravity=config.gravity,
-        clamp_plane=start.clamp_plane,
-        attributes=attributes | material_attributes(material),
+        clamp_plane=bodies[0].clamp_plane,
+        attributes=_attributes(config, bodies, seed) | material_attributes(material),
     )
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Start:
-    """How a body starts: held part and motion."""
-
-    kinematic: np.ndarray
-    clamp_plane: float | None
-    velocity: np.ndarray
-    gradient: np.ndarray
-    drawn: dict[str, Any]
+def _joined(parts: list[np.ndarray]) -> Tensor:
+    return torch.from_numpy(np.concatenate(parts)).float()
 
 
-def _clamped(
-    config: SceneConfig, body: Shape, position: np.ndarray, generator: np.random.Generator
-) -> _Start:
-    # At least one layer of particles is held, however flat the body is.
-    held = max(config.clamped_fraction * body.extent[1], config.spacing)
-    clamp_plane = config.base_height + held
-    kinematic = position[:, 1] <= clamp_plane
-    if bool(kinematic.all()):
-        raise ValueError(
-            f"shape {body.name} is {body.extent[1]:.3g} m high and all of it is clamped at "
-            f"spacing {config.spacing:g} m. Lower SceneConfig.spacing or clamped_fraction."
-        )
-    velocity, drawn = clamped_velocity(
-        position,
-        clamp_plane=clamp_plane,
-        impulses=config.impulses,
-        top_speed=float(generator.uniform(*config.speed_range)),
-        generator=generator,
-    )
-    return _Start(
-        kinematic=kinematic,
-        clamp_plane=clamp_plane,
-        velocity=velocity,
-        gradient=np.zeros((config.dimension, config.dimension)),
-        drawn=drawn,
-    )
-
-
-def _thrown(
-    config: SceneConfig, body: Shape, position: np.ndarray, generator: np.random.Generator
-) -> _Start:
-    del body  # only a clamp depends on the shape
-    velocity, gradient, drawn = thrown_velocity(
-        position,
-        speed=float(generator.uniform(*config.speed_range)),
-        spin=float(generator.uniform(*config.spin_range)),
-        generator=generator,
-    )
-    return _Start(
-        kinematic=np.zeros(len(position), dtype=bool),
-        clamp_plane=None,
-        velocity=velocity,
-        gradient=gradient,
-        drawn=drawn,
-    )
-
-
-def _draw_body(config: SceneConfig, shape: str | None, generator: np.random.Generator) -> Shape:
-    name = str(generator.choice(config.shapes)) if shape is None else shape
-    height = float(generator.uniform(*config.height_range))
-    if Path(name).suffix and name not in SHAPES:
-        if config.dimension != 3:
-            raise ValueError(f"mesh {name} is a 3-D body and this scene is 2-D. Name a 2-D shape.")
-        return load_mesh_shape(name, size=height)
-    wanted = Proportions(
-        height=height, dimension=config.dimension, slenderness=tuple(config.slenderness)
-    )
-    return draw_shape(name, wanted, generator=generator)
-
-
-def _center(config: SceneConfig, body: Shape, generator: np.random.Generator) -> np.ndarray:
-    """Where the centre of the body's bounding box goes [m]."""
-    half = 0.5 * np.array(body.extent)
-    if config.family == "clamped":
-        center = np.full(config.dimension, 0.5)
-        center[1] = config.base_height + half[1]
-        return center
-    if config.placement is not None:
-        lower, upper = np.array(config.placement, dtype=float).T
-    else:
-        lower, upper = config.wall + half, 1.0 - config.wall - half
-    return lower + generator.uniform(0.0, 1.0, config.dimension) * (upper - lower)
-
-
-def _require_inside(config: SceneConfig, body: Shape, center: np.ndarray) -> None:
-    half = 0.5 * np.array(body.extent)
-    below, above = config.wall - (center - half), center + half - (1.0 - config.wall)
-    beyond = np.maximum(below, above)
-    axis = int(beyond.argmax())
-    if beyond[axis] > 1e-9:
-        side = "lower" if below[axis] >= above[axis] else "upper"
-        remedy = "base_height" if config.family == "clamped" else "placement"
-        raise ValueError(
-            f"shape {body.name} reaches {beyond[axis]:.3g} m beyond the {side} wall of axis "
-            f"{axis} (walls at {config.wall:g} and {1.0 - config.wall:g} m). Lower "
-            f"SceneConfig.height_range or wall, or change {remedy}."
-        )
+def _attributes(config: SceneConfig, bodies: list[Body], seed: int) -> dict[str, Any]:
+    """What was drawn, as JSON values; several bodies are listed one by one."""
+    shared = {
+        "family": config.family,
+        "seed": seed,
+        "spacing": config.spacing,
+        "gravity": config.gravity,
+        "wall_contact": config.wall_contact,
+        "clamp_plane": bodies[0].clamp_plane,
+    }
+    if len(bodies) == 1:
+        return shared | bodies[0].attributes
+    return shared | {
+        "shape": "+".join(body.shape.name for body in bodies),
+        "bodies": [body.attributes for body in bodies],
+    }
