@@ -19,7 +19,7 @@ from torch import Tensor
 
 from giorom.state import Trajectory
 
-__all__ = ["Statistics", "measure_statistics"]
+__all__ = ["Statistics", "StatisticsAccumulator", "measure_statistics"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,23 +120,13 @@ def measure_statistics(trajectories: Iterable[Trajectory]) -> Statistics:
     Raises:
         ValueError: If no free particle has three frames.
     """
-    velocity, acceleration = _Moments(), _Moments()
+    total = StatisticsAccumulator()
     for trajectory in trajectories:
         position = trajectory.position[:, ~trajectory.kinematic].double()
         step = position.diff(dim=0)
-        velocity.add(step)
-        acceleration.add(step.diff(dim=0))
-    if velocity.count == 0 or acceleration.count == 0:
-        raise ValueError(
-            "no acceleration can be measured: the training trajectories together hold no free "
-            "particle with three frames. Give longer trajectories or more particles."
-        )
-    return Statistics(
-        velocity_mean=velocity.mean,
-        velocity_std=velocity.std(),
-        acceleration_mean=acceleration.mean,
-        acceleration_std=acceleration.std(),
-    )
+        total.velocity.add(step.flatten(0, 1))
+        total.acceleration.add(step.diff(dim=0).flatten(0, 1))
+    return total.statistics()
 
 
 def _checked(frame_dt: float) -> float:
@@ -146,7 +136,41 @@ def _checked(frame_dt: float) -> float:
     return frame_dt
 
 
-class _Moments:
+class StatisticsAccumulator:
+    """Statistics that grow with the data: add rows as they arrive, merge what others measured.
+
+    ``velocity`` takes the displacements per frame of free particles, ``acceleration`` their second
+    differences.
+    """
+
+    def __init__(self) -> None:
+        self.velocity, self.acceleration = Moments(), Moments()
+
+    def merge(self, other: "StatisticsAccumulator") -> None:
+        """Take in what ``other`` has seen."""
+        self.velocity.merge(other.velocity)
+        self.acceleration.merge(other.acceleration)
+
+    def statistics(self) -> Statistics:
+        """Statistics of everything so far, per frame.
+
+        Raises:
+            ValueError: If no free particle had three frames.
+        """
+        if self.velocity.count == 0 or self.acceleration.count == 0:
+            raise ValueError(
+                "no acceleration can be measured: the training trajectories together hold no free "
+                "particle with three frames. Give longer trajectories or more particles."
+            )
+        return Statistics(
+            velocity_mean=self.velocity.mean,
+            velocity_std=self.velocity.std(),
+            acceleration_mean=self.acceleration.mean,
+            acceleration_std=self.acceleration.std(),
+        )
+
+
+class Moments:
     """Running count, mean and squared deviation per axis.
 
     Source:
@@ -159,20 +183,25 @@ class _Moments:
         self.mean = torch.zeros(())
         self._squares = torch.zeros(())
 
-    def add(self, values: Float[Tensor, "t p d"]) -> None:
-        """Take in the vectors of one trajectory."""
-        rows = values.reshape(-1, values.shape[-1])
-        if len(rows) == 0:
-            return
-        mean = rows.mean(dim=0)
-        squares = (rows - mean).square().sum(dim=0)
+    def add(self, rows: Float[Tensor, "n d"]) -> None:
+        """Take in some vectors."""
+        if len(rows):
+            mean = rows.mean(dim=0)
+            self._take(len(rows), mean, (rows - mean).square().sum(dim=0))
+
+    def merge(self, other: "Moments") -> None:
+        """Take in what ``other`` has seen."""
+        if other.count:
+            self._take(other.count, other.mean, other._squares)
+
+    def _take(self, count: int, mean: Tensor, squares: Tensor) -> None:
         if self.count == 0:
-            self.count, self.mean, self._squares = len(rows), mean, squares
+            self.count, self.mean, self._squares = count, mean, squares
             return
-        total = self.count + len(rows)
+        total = self.count + count
         shift = mean - self.mean
-        self._squares = self._squares + squares + shift.square() * (self.count * len(rows) / total)
-        self.mean = self.mean + shift * (len(rows) / total)
+        self._squares = self._squares + squares + shift.square() * (self.count * count / total)
+        self.mean = self.mean + shift * (count / total)
         self.count = total
 
     def std(self) -> Float[Tensor, " d"]:

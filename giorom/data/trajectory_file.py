@@ -256,13 +256,20 @@ def _write_group(file: Any, name: str, trajectory: Trajectory) -> None:
     group["particle_type"] = trajectory.particle_type.cpu().numpy().astype(np.int32)
     group.attrs["frame_dt"] = trajectory.frame_dt
     group.attrs["bounds"] = trajectory.bounds.detach().cpu().numpy()
-    group.attrs["attributes"] = _attributes_text(trajectory)
+    group.attrs["attributes"] = attributes_text(trajectory.attributes)
 
 
-def _attributes_text(trajectory: Trajectory) -> str:
-    """The free attributes of a trajectory as JSON."""
+def attributes_text(attributes: dict[str, Any]) -> str:
+    """The free attributes of a trajectory as JSON.
+
+    Args:
+        attributes: JSON values.
+
+    Raises:
+        DataError: If they are no JSON, or too large for an HDF5 attribute.
+    """
     try:
-        text = json.dumps(trajectory.attributes, allow_nan=False)
+        text = json.dumps(attributes, allow_nan=False)
     except (TypeError, ValueError) as error:
         raise DataError(
             f"Trajectory.attributes must hold JSON values with finite numbers, but {error}."

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from giorom.data.atomic import replacing, write_json
-from giorom.data.statistics import measure_statistics
+from giorom.data.statistics import Statistics, measure_statistics
 from giorom.data.trajectory_file import (
     FORMAT_VERSION,
     SPLITS,
@@ -171,6 +171,7 @@ def assemble_dataset(
     radius: float,
     splits: Mapping[str, Sequence[int]] | None = None,
     keep_parts: bool = True,
+    statistics: Statistics | None = None,
 ) -> dict[str, Any]:
     """Make the split files and the metadata from the finished parts.
 
@@ -182,6 +183,8 @@ def assemble_dataset(
         radius: Default interaction radius for the metadata [m].
         splits: Numbers of the parts of each split; ``split_parts`` of all parts by default.
         keep_parts: Whether the parts stay, which allows more to be added later.
+        statistics: Those of the training split, per frame, where they are known already;
+            measured by default.
 
     Returns:
         The metadata.
@@ -199,11 +202,13 @@ def assemble_dataset(
     (folder / "metadata.json").unlink(missing_ok=True)
     for name in SPLITS:
         _write_split(folder, name, chosen.get(name, ()))
-    training = (read_trajectory_file(part_path(folder, part)) for part in chosen["train"])
+    if statistics is None:
+        training = (read_trajectory_file(part_path(folder, part)) for part in chosen["train"])
+        statistics = measure_statistics(training)
     metadata = {
         **scene,
         "default_connectivity_radius": radius,
-        **measure_statistics(training).to_metadata(),
+        **statistics.to_metadata(),
         **_versions(),
     }
     _merge_identity(metadata, identity, folder)
