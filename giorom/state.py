@@ -21,11 +21,14 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+RIGID = 0
+"""Particle type of rigid obstacles (GNS convention)."""
+
 KINEMATIC = 3
 """Particle type of prescribed particles (GNS convention): they follow the scene, not the model."""
 
-WATER, SAND, GOOP, ELASTIC = 5, 6, 7, 8
-"""Particle types of the materials; 5 to 7 are the GNS ids, 8 is ours."""
+PLASTICINE, WATER, SAND, GOOP, ELASTIC = 4, 5, 6, 7, 8
+"""Particle types of the materials; 5 to 7 are the GNS ids, 4 and 8 are ours."""
 
 PARTICLE_TYPE_COUNT = 9
 """Size of the type embedding (GNS convention)."""

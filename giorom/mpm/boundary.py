@@ -21,7 +21,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from giorom.mpm.scenes import Scene
+from giorom.mpm.scene import Scene
 
 WALL_TOLERANCE = 0.6
 """How far a particle may be pressed beyond an effective wall plane [cells]."""

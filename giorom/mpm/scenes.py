@@ -4,61 +4,17 @@ A ``SceneConfig`` describes a family of scenes in plain values; ``draw_scene`` t
 seed into one ``Scene``, always the same. SI units. This module needs no simulator.
 """
 
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
 from torch import Tensor
 
 from giorom.mpm.bodies import Body, draw_bodies
-from giorom.mpm.materials import Material, make_material, material_attributes
-from giorom.mpm.scene_config import SceneConfig, WallContact
+from giorom.mpm.materials import make_material
+from giorom.mpm.scene import Scene
+from giorom.mpm.scene_config import SceneConfig
 from giorom.state import KINEMATIC
-
-
-@dataclass(frozen=True, kw_only=True)
-class Scene:
-    """One or several bodies, ready to simulate."""
-
-    position: Float[Tensor, "p d"]
-    """Initial positions [m]."""
-
-    velocity: Float[Tensor, "p d"]
-    """Initial velocities [m/s]."""
-
-    affine_velocity: Float[Tensor, "p d d"]
-    """Initial velocity gradient at each particle [1/s]."""
-
-    volume: Float[Tensor, " p"]
-    """Initial volume of each particle [m^d]."""
-
-    particle_type: Int[Tensor, " p"]
-    """``KINEMATIC`` for held particles, else the type of the material."""
-
-    material: Material
-    """What the body is made of."""
-
-    bounds: Float[Tensor, "d 2"]
-    """Lower and upper wall on each axis [m]."""
-
-    wall_contact: WallContact = "slip"
-    """Whether what is pressed on a wall slides along it; see ``giorom.mpm.boundary``."""
-
-    gravity: float = 0.0
-    """Downward acceleration [m/s^2]."""
-
-    clamp_plane: float | None = None
-    """Particles at or below this height are held [m]; None: no clamp."""
-
-    attributes: dict[str, Any] = field(default_factory=dict)
-    """What made it, as JSON values."""
-
-    @property
-    def kinematic(self) -> Tensor:
-        """Boolean mask of the held particles, shape (p)."""
-        return self.particle_type == KINEMATIC
 
 
 def draw_scene(config: SceneConfig, *, seed: int, shape: str | None = None) -> Scene:
@@ -88,12 +44,13 @@ def draw_scene(config: SceneConfig, *, seed: int, shape: str | None = None) -> S
         affine_velocity=gradients.repeat_interleave(torch.tensor(counts), dim=0),
         volume=_joined([np.full(len(body.position), body.volume) for body in bodies]),
         particle_type=torch.from_numpy(np.where(held, KINEMATIC, material.particle_type)),
-        material=material,
+        materials=(material,),
+        material_index=torch.zeros(len(held), dtype=torch.long),
         bounds=torch.tensor([[config.wall, 1.0 - config.wall]] * config.dimension),
         wall_contact=config.wall_contact,
         gravity=config.gravity,
         clamp_plane=bodies[0].clamp_plane,
-        attributes=_attributes(config, bodies, seed) | material_attributes(material),
+        attributes=_attributes(config, bodies, seed),
     )
 
 

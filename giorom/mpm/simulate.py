@@ -19,7 +19,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from giorom.mpm.boundary import WALL_TOLERANCE, Walls, walls_of
-from giorom.mpm.scenes import Scene
+from giorom.mpm.materials import material_attributes
+from giorom.mpm.scene import Scene
 from giorom.state import Trajectory
 
 SPEED_LIMIT = 0.3
@@ -137,9 +138,11 @@ class Run:
         Raises:
             SimulationError: If a frame breaks a guard.
         """
-        engine = self._engine
+        engine, switch = self._engine, self.scene.switch
         yield engine.position()
         for frame in range(1, self.solver.frames):
+            if switch is not None and frame == switch.frame + 1:
+                engine.switch(switch.material_index, switch.material)
             engine.advance(self.substeps)
             position = engine.position()
             _require_sound(position, engine.velocity(), self.walls, engine.substep_dt, frame)
@@ -155,6 +158,7 @@ class Run:
         """What makes the trajectory; the same in every repetition."""
         return (
             self.scene.attributes
+            | _material_attributes(self.scene)
             | {
                 "solver": "MLS-MPM, APIC, quadratic B-splines",
                 "grid_cells": self.solver.grid_cells,
@@ -198,20 +202,21 @@ def fastest_speed(scene: Scene) -> float:
 def largest_substep(scene: Scene, grid_cells: int) -> tuple[float, str]:
     """Largest time step the rules allow, and the rule that sets it.
 
-    Two rules: a pressure wave crosses at most ``material.cfl_limit`` cells per substep, and
-    the fastest particle at most ``SPEED_LIMIT``.
+    Two rules: a pressure wave crosses at most ``cfl_limit`` cells per substep in every material
+    of the scene, and the fastest particle at most ``SPEED_LIMIT``.
 
     Returns:
         The step [s] and the rule in words.
     """
     cell = 1.0 / grid_cells
-    material, speed = scene.material, fastest_speed(scene)
-    wave = material.cfl_limit * cell / material.sound_speed
+    speed = fastest_speed(scene)
     rules = [
         (
-            wave,
-            f"sound speed {material.sound_speed:.4g} m/s * substep_dt <= {material.cfl_limit} dx",
+            law.cfl_limit * cell / law.sound_speed,
+            f"sound speed {law.sound_speed:.4g} m/s of {law.name} * substep_dt <= "
+            f"{law.cfl_limit} dx",
         )
+        for law in scene.laws
     ]
     if speed > 0.0:
         rules.append(
@@ -277,3 +282,17 @@ def _require_sound(
             f"most {WALL_TOLERANCE / walls.grid_cells:.3g} m is allowed. Raise "
             f"SolverConfig.substeps or lower the initial speed."
         )
+
+
+def _material_attributes(scene: Scene) -> dict[str, Any]:
+    """Every material of a scene as JSON values, and its change during the run, if there is one."""
+    materials = {"materials": [material_attributes(material) for material in scene.materials]}
+    if scene.switch is None:
+        return materials
+    return materials | {
+        "material_switch": {
+            "frame": scene.switch.frame,
+            "material_index": scene.switch.material_index,
+            **material_attributes(scene.switch.material),
+        }
+    }

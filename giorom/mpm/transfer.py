@@ -1,15 +1,20 @@
+# Warp needs float(0.0) to declare a variable that is assigned again.
+# ruff: noqa: UP018
 """Move mass and momentum between particles and grid: the kernels of the simulator.
 
 Explicit MLS-MPM with APIC transfers and quadratic B-splines on a collocated grid of the
-unit box. One substep is three kernels: particles to grid (stress fused in), grid update
-(gravity and walls), grid to particles (position and strain). Everything is float32 and SI;
-the same source runs on the CPU and on CUDA, in two and in three dimensions.
+unit box. One substep is three kinds of kernel: particles to grid, grid update (gravity and
+walls), grid to particles (position, strain and stress). The last kind is made for each law of
+``device_laws.py`` and launched on the particles of that law, so that none of them asks which
+material it is. Everything is float32 and SI; the same source runs on the CPU and on CUDA, in
+two and in three dimensions.
 
 Solids carry ``b = F F^T`` and not ``F``: an isotropic stress depends on ``b`` alone and a
-rotation then costs nothing. Fluids carry the scalar ``J``.
+rotation then costs nothing. Fluids carry the scalar ``J``. The stress of a substep is found
+where its strain is, after the return map, and kept for the next particles to grid.
 
 Invariants: a transfer conserves mass, momentum and angular momentum (its affine part
-included); kinematic particles never move; no index ever leaves the grid.
+included); no index ever leaves the grid. Kinematic particles are not launched on at all.
 
 Source:
     Hu et al., "A Moving Least Squares Material Point Method", SIGGRAPH 2018; Jiang et al.,
@@ -24,50 +29,9 @@ from typing import Any, no_type_check
 # module is imported only inside the function that simulates.
 import warp as wp  # noqa: TID253
 
+from giorom.mpm.device_laws import Constants, build_law
+
 wp.config.log_level = wp.LOG_WARNING
-
-
-@no_type_check
-def _solid_law(dimension: int) -> SimpleNamespace:
-    """Stress and strain update of the stable neo-Hookean solid; the state is ``b``."""
-    matrix = wp.types.matrix((dimension, dimension), dtype=float)
-    out_of_plane = float(3 - dimension)
-
-    @wp.func
-    def stress(b: matrix, parameters: wp.vec3):
-        volume_ratio = wp.sqrt(wp.max(wp.determinant(b), 0.0))
-        invariant = wp.trace(b) + wp.static(out_of_plane)
-        shear = parameters[0] * (1.0 - 1.0 / (invariant + 1.0))
-        pressure = parameters[1] * volume_ratio * (volume_ratio - parameters[2])
-        return shear * b + pressure * wp.identity(n=dimension, dtype=float)
-
-    @wp.func
-    def advance(b: matrix, gradient: matrix, dt: float):
-        growth = wp.identity(n=dimension, dtype=float) + dt * gradient
-        return growth * b * wp.transpose(growth)
-
-    return SimpleNamespace(state=matrix, stress=stress, advance=advance)
-
-
-@no_type_check
-def _fluid_law(dimension: int) -> SimpleNamespace:
-    """Pressure and volume update of the weakly compressible fluid; the state is ``J``."""
-    matrix = wp.types.matrix((dimension, dimension), dtype=float)
-
-    @wp.func
-    def stress(volume_ratio: float, parameters: wp.vec3):
-        pressure = parameters[0] * volume_ratio * (volume_ratio - 1.0)
-        return pressure * wp.identity(n=dimension, dtype=float)
-
-    @wp.func
-    def advance(volume_ratio: float, gradient: matrix, dt: float):
-        return volume_ratio * (1.0 + dt * wp.trace(gradient))
-
-    return SimpleNamespace(state=float, stress=stress, advance=advance)
-
-
-LAWS = {"stable_neo_hookean": _solid_law, "weakly_compressible_fluid": _fluid_law}
-"""Device form of each material of :mod:`giorom.mpm.materials`, by its name."""
 
 
 @no_type_check
@@ -107,13 +71,13 @@ def _stencil(dimension: int) -> SimpleNamespace:
 
 
 @no_type_check
-def _particles_to_grid(dimension: int, law: SimpleNamespace, module: Any) -> Any:
+def _particles_to_grid(dimension: int, module: Any) -> Any:
     """The kernel that adds mass and momentum of every particle to its 3^d nodes."""
     vector = wp.types.vector(dimension, dtype=float)
     matrix = wp.types.matrix((dimension, dimension), dtype=float)
     node = wp.types.vector(dimension + 1, dtype=float)
     around = _stencil(dimension)
-    base_node, offset, spline, stress = around.base_node, around.offset, around.spline, law.stress
+    base_node, offset, spline = around.base_node, around.offset, around.spline
     layers = 3 if dimension == 3 else 1
 
     @wp.kernel(module=module, enable_backward=False)
@@ -121,25 +85,21 @@ def _particles_to_grid(dimension: int, law: SimpleNamespace, module: Any) -> Any
         x: wp.array(dtype=vector),
         v: wp.array(dtype=vector),
         affine: wp.array(dtype=matrix),
-        state: wp.array(dtype=law.state),
+        stress: wp.array(dtype=matrix),
         volume: wp.array(dtype=float),
-        held: wp.array(dtype=wp.uint8),
-        density: float,
-        parameters: wp.vec3,
+        masses: wp.array(dtype=float),
         dt: float,
         cells: int,
         grid: wp.array(dtype=node),
     ):
         p = wp.tid()
-        if held[p] != wp.uint8(0):
-            return  # at rest and unstrained; its mass would drag on nodes above the clamp
         dx = 1.0 / float(cells)
         base = base_node(x[p], cells)
         fraction = offset(x[p], base, cells)
         w = spline(fraction)
-        mass = density * volume[p]
+        mass = masses[p]
         # momentum of node i: w (m v + A (i - f) dx) = w (start + step i)
-        step = (mass * dx) * affine[p] - (4.0 * dt * volume[p] / dx) * stress(state[p], parameters)
+        step = (mass * dx) * affine[p] - (4.0 * dt * volume[p] / dx) * stress[p]
         start = mass * v[p] - step * fraction
         for i in range(3):
             for j in range(3):
@@ -185,7 +145,7 @@ def _grid_update(dimension: int, module: Any) -> Any:
         mass = value[dimension]
         if mass > 0.0:
             remainder = number
-            stopped = bool(False)  # noqa: UP018  (a constant could not change in a kernel)
+            stopped = bool(False)
             for back in range(dimension):
                 axis = dimension - 1 - back
                 i = remainder % cells
@@ -213,7 +173,8 @@ def _grid_to_particles(dimension: int, law: SimpleNamespace, module: Any) -> Any
     matrix = wp.types.matrix((dimension, dimension), dtype=float)
     node = wp.types.vector(dimension + 1, dtype=float)
     around = _stencil(dimension)
-    base_node, offset, spline, advance = around.base_node, around.offset, around.spline, law.advance
+    base_node, offset, spline = around.base_node, around.offset, around.spline
+    transport, respond, remembers_volume = law.transport, law.respond, law.remembers_volume
     layers = 3 if dimension == 3 else 1
 
     @wp.kernel(module=module, enable_backward=False)
@@ -221,15 +182,15 @@ def _grid_to_particles(dimension: int, law: SimpleNamespace, module: Any) -> Any
         x: wp.array(dtype=vector),
         v: wp.array(dtype=vector),
         affine: wp.array(dtype=matrix),
+        stress: wp.array(dtype=matrix),
         state: wp.array(dtype=law.state),
-        held: wp.array(dtype=wp.uint8),
+        volume_correction: wp.array(dtype=float),
+        constants: Constants,
         dt: float,
         cells: int,
         grid: wp.array(dtype=node),
     ):
         p = wp.tid()
-        if held[p] != wp.uint8(0):
-            return
         base = base_node(x[p], cells)
         fraction = offset(x[p], base, cells)
         w = spline(fraction)
@@ -258,29 +219,83 @@ def _grid_to_particles(dimension: int, law: SimpleNamespace, module: Any) -> Any
         v[p] = velocity
         affine[p] = gradient
         x[p] = x[p] + dt * velocity
-        state[p] = advance(state[p], gradient, dt)
+        correction = float(0.0)
+        if wp.static(remembers_volume):
+            correction = volume_correction[p]
+        kept, correction, tau = respond(
+            transport(state[p], gradient, dt), correction, constants, dt
+        )
+        state[p] = kept
+        stress[p] = tau
+        if wp.static(remembers_volume):
+            volume_correction[p] = correction
 
     return grid_to_particles
 
 
+@no_type_check
+def _settle(law: SimpleNamespace, module: Any) -> Any:
+    """The kernel that makes the stress of a state that a law is given, at the start or later."""
+    matrix, respond, remembers_volume = law.stress, law.respond, law.remembers_volume
+
+    @wp.kernel(module=module, enable_backward=False)
+    def settle(
+        stress: wp.array(dtype=matrix),
+        state: wp.array(dtype=law.state),
+        volume_correction: wp.array(dtype=float),
+        constants: Constants,
+    ):
+        p = wp.tid()
+        correction = float(0.0)
+        if wp.static(remembers_volume):
+            correction = volume_correction[p]
+        kept, correction, tau = respond(state[p], correction, constants, 0.0)
+        state[p] = kept
+        stress[p] = tau
+        if wp.static(remembers_volume):
+            volume_correction[p] = correction
+
+    return settle
+
+
 @cache
 @no_type_check
-def build_kernels(dimension: int, law_name: str) -> SimpleNamespace:
-    """The three kernels of one substep for a dimension and a material.
+def build_grid_kernels(dimension: int) -> SimpleNamespace:
+    """The kernels of a substep that know no material.
 
     Args:
         dimension: 2 (plane strain) or 3.
-        law_name: A key of ``LAWS``.
 
     Returns:
-        ``particles_to_grid``, ``grid_update``, ``grid_to_particles`` and ``state``, the
-        type of the strain variable.
+        ``particles_to_grid``, ``grid_update`` and their ``module``.
     """
-    law = LAWS[law_name](dimension)
-    module = wp.get_module(f"giorom_mpm_{law_name}_{dimension}d")
+    module = wp.get_module(f"giorom_mpm_grid_{dimension}d")
     return SimpleNamespace(
-        particles_to_grid=_particles_to_grid(dimension, law, module),
+        particles_to_grid=_particles_to_grid(dimension, module),
         grid_update=_grid_update(dimension, module),
+        module=module,
+    )
+
+
+@cache
+@no_type_check
+def build_law_kernels(family: str, dimension: int) -> SimpleNamespace:
+    """The kernels of one constitutive law.
+
+    Args:
+        family: A value of ``device_laws.FAMILIES``.
+        dimension: 2 (plane strain) or 3.
+
+    Returns:
+        ``grid_to_particles``, ``settle``, their ``module``, ``state``, the type of the strain
+        variable, and ``remembers_volume``.
+    """
+    law = build_law(family, dimension)
+    module = wp.get_module(f"giorom_mpm_{family}_{dimension}d")
+    return SimpleNamespace(
         grid_to_particles=_grid_to_particles(dimension, law, module),
+        settle=_settle(law, module),
+        module=module,
         state=law.state,
+        remembers_volume=law.remembers_volume,
     )

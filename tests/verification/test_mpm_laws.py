@@ -34,7 +34,8 @@ def block(
         affine_velocity=torch.zeros(count, d, d),
         volume=torch.full((count,), spacing**d),
         particle_type=torch.full((count,), material.particle_type),
-        material=material,
+        materials=(material,),
+        material_index=torch.zeros(count, dtype=torch.long),
         bounds=torch.tensor([[0.0625, 0.9375]] * d),
         gravity=gravity,
     )
@@ -52,7 +53,7 @@ def engine_of(scene: Scene, dt: float, cells: int = CELLS) -> Engine:
 
 
 def masses(scene: Scene) -> torch.Tensor:
-    return scene.material.density * scene.volume.double()
+    return scene.mass.double()
 
 
 def angular_momentum(scene: Scene, engine: Engine, cells: int = CELLS) -> torch.Tensor:
@@ -67,8 +68,8 @@ def total_energy(scene: Scene, engine: Engine, cells: int) -> float:
     """Kinetic energy of particles and affine parts, and the elastic energy above rest."""
     m, v, c = masses(scene), engine.velocity().double(), engine.affine_velocity().double()
     kinetic = 0.5 * (m * ((v**2).sum(1) + (c**2).sum((1, 2)) / (4.0 * cells**2))).sum()
-    rest = scene.material.energy(torch.eye(v.shape[1], dtype=torch.float64))
-    elastic = scene.material.energy(engine.strain().double()) - rest
+    rest = scene.materials[0].energy(torch.eye(v.shape[1], dtype=torch.float64))
+    elastic = scene.materials[0].energy(engine.strain().double()) - rest
     return float(kinetic + (scene.volume.double() * elastic).sum())
 
 

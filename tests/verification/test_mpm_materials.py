@@ -123,7 +123,7 @@ def test_material_attributes_rebuild_the_material():
     [
         ({"density": -1.0, "youngs_modulus": 1e5, "poissons_ratio": 0.2}, "density must be > 0"),
         ({"density": 1.0, "youngs_modulus": 1e5, "poissons_ratio": 0.5}, "between -1 and 0.5"),
-        ({"density": 1.0, "youngs_modulus": 1e5}, "exactly the parameters"),
+        ({"density": 1.0, "youngs_modulus": 1e5}, "lacks the parameters poissons_ratio"),
     ],
 )
 def test_impossible_materials_are_refused(parameters: dict[str, float], message: str):

@@ -30,7 +30,8 @@ def random_scene(dimension: int, material, *, count: int = 60, gravity: float = 
         affine_velocity=torch.randn(count, dimension, dimension, generator=generator),
         volume=0.5**dimension / CELLS**dimension * (0.5 + torch.rand(count, generator=generator)),
         particle_type=torch.full((count,), material.particle_type),
-        material=material,
+        materials=(material,),
+        material_index=torch.zeros(count, dtype=torch.long),
         bounds=torch.tensor([[0.125, 0.875]] * dimension),
         gravity=gravity,
     )
@@ -70,7 +71,7 @@ class Reference:
         )
         self.volume = scene.volume.double().numpy()
         count, d = self.x.shape
-        solid = isinstance(scene.material, StableNeoHookean)
+        solid = isinstance(scene.materials[0], StableNeoHookean)
         self.state = np.tile(np.eye(d), (count, 1, 1)) if solid else np.ones(count)
 
     def step(self) -> None:
@@ -78,10 +79,10 @@ class Reference:
         d = self.x.shape[1]
         mass, momentum = np.zeros((CELLS,) * d), np.zeros((CELLS,) * d + (d,))
         identity, scale = np.eye(d), 4.0 * CELLS**2
-        tau = stress_of(self.scene.material, self.state, identity)
+        tau = stress_of(self.scene.materials[0], self.state, identity)
         held = self.scene.kinematic.numpy()
         for p in np.flatnonzero(~held):
-            m = self.scene.material.density * self.volume[p]
+            m = self.scene.materials[0].density * self.volume[p]
             affine = m * self.affine[p] - self.dt * self.volume[p] * scale * tau[p]
             for node, weight, offset in stencil(self.x[p]):
                 mass[node] += weight * m
