@@ -14,6 +14,7 @@ COMMANDS = {
     "simulate": "make training data with the material point method",
     "train": "train a time-stepper and a neural field",
     "rollout": "simulate a body with a trained model, to a file",
+    "export": "a motion or a data set for another program: HDF5, GNS, VTKHDF, USD, PLY, film",
     "evaluate": "score a trained model on held-out trajectories",
     "models": "list the pretrained models",
 }
@@ -24,6 +25,7 @@ EXTRAS = {
     "pyvista": "render",
     "imageio": "render",
     "imageio_ffmpeg": "render",
+    "pxr": "usd",
 }
 """Which extra of the package brings a module that is missing."""
 

@@ -190,10 +190,23 @@ class Simulator(nn.Module):
         particle_type: Int[Tensor, " p"],
         *,
         frames: int,
-        samples: Int[Tensor, " q"],
+        samples: Int[Tensor, " q"] | None = None,
         prescribed: Float[Tensor, "t p d"] | None = None,
     ) -> Iterator[Float[Tensor, "p d"]]:
-        """Positions of all particles, frame after frame [m] (Algorithm 1)."""
+        """Simulate a body frame by frame (Algorithm 1), in the memory of a few frames.
+
+        Args:
+            position: Undeformed positions of all particles [m].
+            velocity: Initial velocities [m/s].
+            particle_type: GNS types.
+            frames: Number of frames to add.
+            samples: Which particles are simulated; by default the trained reduction.
+            prescribed: As in ``rollout``.
+
+        Yields:
+            Positions of all particles after each frame [m]; ``position`` itself is not repeated.
+        """
+        samples = self.sample(position) if samples is None else samples
         state = self.start(position, velocity, particle_type, samples=samples)
         kinematic = particle_type == KINEMATIC
         motion = full_order_rollout(

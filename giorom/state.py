@@ -57,13 +57,12 @@ class Trajectory:
         """Reject what no stage can use."""
         if not self.frame_dt > 0.0:
             raise ValueError(f"Trajectory.frame_dt must be > 0 s, got {self.frame_dt!r}.")
-        finite = torch.isfinite(self.position).flatten(1).all(dim=1)
-        if not bool(finite.all()):
-            frame = int((~finite).nonzero()[0])
-            raise ValueError(
-                f"frame {frame} of the trajectory holds a position that is not finite; every "
-                f"position must be a finite number of metres. Repair or drop the trajectory."
-            )
+        for frame, position in enumerate(self.position):  # one at a time: some live on the disk
+            if not bool(torch.isfinite(position).all()):
+                raise ValueError(
+                    f"frame {frame} of the trajectory holds a position that is not finite; every "
+                    f"position must be a finite number of metres. Repair or drop the trajectory."
+                )
 
     @property
     def frame_count(self) -> int:

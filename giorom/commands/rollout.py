@@ -8,9 +8,10 @@ from typing import Any
 import torch
 
 from giorom.commands.evaluate import check_trajectory, chosen_model
-from giorom.commands.shared import check_output, say
+from giorom.commands.export import check_motion_output
+from giorom.commands.shared import progress_bar, say
 from giorom.data.trajectory_file import SPLITS, read_trajectory
-from giorom.export import check_extension, write_trajectory
+from giorom.export import MotionHeader, check_room, open_writer
 from giorom.mpm import draw_scene
 from giorom.simulator import Simulator
 from giorom.state import Trajectory
@@ -32,40 +33,57 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
-    """Roll out and write the file."""
-    extension = check_extension(arguments.out)
-    folder = extension == ".ply"
-    check_output(arguments.out.with_suffix("") if folder else arguments.out, folder=folder)
+    """Roll out and write the file, frame by frame."""
+    written = check_motion_output(arguments.out)
     if arguments.frames < 1:
         raise ValueError(f"--frames must be >= 1, got {arguments.frames}.")
     if (arguments.shape is None) == (arguments.data is None):
         raise ValueError("give either --shape or --data: the body to start from.")
     simulator = Simulator.from_pretrained(chosen_model(arguments)).to(arguments.device)
     position, velocity, particle_type, prescribed = _start(arguments, simulator)
-    start = time.perf_counter()
-    motion = simulator.rollout(
+    samples = simulator.sample(position.to(arguments.device), count=arguments.sparse)
+    header = _header(simulator, position, particle_type, len(samples))
+    check_room(arguments.out, header, frames=arguments.frames + 1)
+    motion = simulator.frames(
         position.to(arguments.device),
         velocity.to(arguments.device),
         particle_type.to(arguments.device),
         frames=arguments.frames,
-        sparse_points=arguments.sparse,
+        samples=samples,
         prescribed=None if prescribed is None else prescribed.to(arguments.device),
-    ).to("cpu")
+    )
+    start = time.perf_counter()
+    bar = progress_bar(arguments, total=arguments.frames, unit="frame", text="rollout")
+    with bar, open_writer(arguments.out, header) as writer:
+        writer.append(position)
+        for frame in motion:
+            writer.append(frame)
+            bar.update()
     seconds = time.perf_counter() - start
-    written = write_trajectory(motion, arguments.out)
-    samples = motion.attributes["sparse_points"]
     say(
         arguments,
-        f"{written}: {motion.position.shape[1]} particles from {samples} samples, "
-        f"{motion.frame_count} frames in {seconds:.2f} s",
+        f"{written}: {len(position)} particles from {len(samples)} samples, "
+        f"{writer.frame_count} frames in {seconds:.2f} s",
     )
     return {
-        "points": motion.position.shape[1],
-        "sparse_points": samples,
+        "points": len(position),
+        "sparse_points": len(samples),
         "frames": arguments.frames,
         "seconds": seconds,
         "files": [str(written)],
     }
+
+
+def _header(
+    simulator: Simulator, position: torch.Tensor, particle_type: torch.Tensor, samples: int
+) -> MotionHeader:
+    """What is known of the motion before it is simulated."""
+    return MotionHeader(
+        particle_type=particle_type,
+        frame_dt=simulator.config.frame_dt,
+        bounds=position.new_tensor(simulator.config.bounds),
+        attributes={"system": simulator.config.system, "sparse_points": samples},
+    )
 
 
 def _start(
@@ -83,7 +101,8 @@ def _start(
             f"for a velocity."
         )
     velocity = (trajectory.position[1] - trajectory.position[0]) / trajectory.frame_dt
-    return trajectory.position[0], velocity, trajectory.particle_type, _prescribed(trajectory)
+    first = trajectory.position[0].clone()  # a view would keep the whole motion in memory
+    return first, velocity, trajectory.particle_type, _prescribed(trajectory)
 
 
 def _prescribed(trajectory: Trajectory) -> torch.Tensor | None:

@@ -73,13 +73,13 @@ def read_trajectory_file(path: Path) -> Trajectory:
         DataError: If the file is missing, damaged, foreign or holds several trajectories.
     """
     with opened(path) as file:
-        names = _group_names(file)
+        names = group_names(file)
         if names != ["00000"]:
             raise DataError(
                 f"{path} holds {len(names)} trajectories, but one is needed here. "
                 f"Choose one with read_trajectory(folder, split, index)."
             )
-        return _read_group(file, "00000", path=path, metadata=None, frames=slice(None))
+        return read_group(file, "00000", path=path, metadata=None, frames=slice(None))
 
 
 def read_trajectory(
@@ -102,13 +102,13 @@ def read_trajectory(
     metadata = read_metadata(folder)
     path = split_path(folder, split)
     with opened(path) as file:
-        count = len(_group_names(file))
+        count = len(group_names(file))
         if not 0 <= index < count:
             raise DataError(
                 f"{path} has no trajectory {index}; it holds {count}, numbered from 0. "
                 f"Ask for a number below {count}."
             )
-        return _read_group(file, f"{index:05d}", path=path, metadata=metadata, frames=frames)
+        return read_group(file, f"{index:05d}", path=path, metadata=metadata, frames=frames)
 
 
 def iterate_trajectories(folder: Path, split: str) -> Iterator[Trajectory]:
@@ -143,7 +143,7 @@ def trajectory_count(folder: Path, split: str) -> int:
     """
     read_metadata(folder)
     with opened(split_path(folder, split)) as file:
-        return len(_group_names(file))
+        return len(group_names(file))
 
 
 def split_path(folder: Path, split: str) -> Path:
@@ -227,8 +227,15 @@ def _check_header(file: Any, path: Path) -> None:
         raise DataError(f"{path} was not written to its end. Remove it and make it again.")
 
 
-def _group_names(file: Any) -> list[str]:
-    """Names of the trajectories, checked to be 00000, 00001, ...; a split of ours may be empty."""
+def group_names(file: Any) -> list[str]:
+    """Names of the trajectories of an open file; a split of ours may be empty.
+
+    Args:
+        file: The open ``h5py.File``.
+
+    Raises:
+        DataError: If they are not 00000, 00001, ...
+    """
     names = sorted(file.keys())
     expected = [f"{index:05d}" for index in range(len(names))]
     ours = "giorom_format_version" in file.attrs
@@ -282,10 +289,24 @@ def attributes_text(attributes: dict[str, Any]) -> str:
     return text
 
 
-def _read_group(
+def read_group(
     file: Any, name: str, *, path: Path, metadata: dict[str, Any] | None, frames: slice
 ) -> Trajectory:
-    """Read and check one trajectory of an open file."""
+    """Read and check one trajectory of an open file.
+
+    Args:
+        file: The open ``h5py.File``.
+        name: Name of its group.
+        path: Path of the file, for messages.
+        metadata: Metadata of its data set, which fill in what the group does not say.
+        frames: Which frames.
+
+    Returns:
+        The trajectory, positions in float32.
+
+    Raises:
+        DataError: If the group is no trajectory.
+    """
     position, particle_type = _checked_arrays(file[name], f"{path}[{name}]")
     if metadata is not None and position.shape[2] != metadata["dim"]:
         raise DataError(

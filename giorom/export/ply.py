@@ -5,55 +5,76 @@ speed [m/s], the particle type and the caller's fields. The folder appears whole
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
 from torch import Tensor
 
 from giorom.data.atomic import replacing_folder
-from giorom.export.points import point_fields
 from giorom.export.scene import in_space
-from giorom.state import Trajectory
+from giorom.export.writer import MotionHeader, PointWriter
 
-__all__ = ["write_ply"]
+__all__ = ["ply_folder", "ply_writer"]
 
 
-def write_ply(
-    trajectory: Trajectory,
-    path: Path,
-    *,
-    fields: Mapping[str, Float[Tensor, "t p"]] | None = None,
-) -> Path:
-    """Write one PLY file per frame.
+class PlyWriter(PointWriter):
+    """Writes one file per frame into a folder.
 
     Args:
-        trajectory: The motion; a 2-D one lies in z = 0.
-        path: ``NAME.ply``; the files go into the folder ``NAME`` beside it.
-        fields: More numbers for each particle and frame, such as an error.
+        folder: An empty folder.
+        name: What the names of the files begin with.
+        header: What is known before the first frame.
+    """
 
-    Returns:
-        The folder.
+    def __init__(self, folder: Path, name: str, header: MotionHeader) -> None:
+        super().__init__(header)
+        self._folder, self._name, self._stored = folder, name, 0
+        self._point = np.empty(header.particle_count, dtype=_point_type(header.fields))
+        self._point["particle_type"] = header.particle_type.cpu().numpy()
+
+    def _put(self, position: Tensor, numbers: dict[str, Tensor]) -> None:
+        point = self._point
+        point["x"], point["y"], point["z"] = in_space(position).T
+        for name, values in numbers.items():
+            point[name] = values.numpy()
+        text = _header(point, time=self._stored * self.header.frame_dt)
+        path = self._folder / f"{self._name}_{self._stored:05d}.ply"
+        path.write_bytes(text + point.tobytes())
+        self._stored += 1
+
+    def _complete(self) -> None:
+        pass
+
+
+def ply_folder(path: Path) -> Path:
+    """The folder that a sequence named ``NAME.ply`` goes into: ``NAME`` beside it.
+
+    Args:
+        path: ``NAME.ply``.
+    """
+    return path.with_suffix("")
+
+
+@contextmanager
+def ply_writer(path: Path, header: MotionHeader) -> Iterator[PlyWriter]:
+    """Open a sequence of PLY files.
+
+    Args:
+        path: ``NAME.ply``; the files go into the folder ``NAME`` beside it.
+        header: What is known before the first frame; a 2-D motion lies in z = 0.
+
+    Yields:
+        The writer.
 
     Raises:
-        ValueError: If the folder exists and holds anything but such a sequence, or a field has a
-            name that is taken or a wrong shape.
+        ValueError: If the folder exists and holds anything but such a sequence.
     """
-    folder = path.with_suffix("")
-    values = point_fields(trajectory, fields)
+    folder = ply_folder(path)
     _check_free(folder)
-    types = trajectory.particle_type.cpu().numpy().astype(np.uint8)
     with replacing_folder(folder) as temporary:
-        for frame, position in enumerate(trajectory.position):
-            point = np.empty(len(types), dtype=_point_type(list(values)))
-            point["x"], point["y"], point["z"] = in_space(position).T
-            point["particle_type"] = types
-            for name, numbers in values.items():
-                point[name] = numbers[frame]
-            content = _header(point, time=frame * trajectory.frame_dt) + point.tobytes()
-            (temporary / f"{folder.name}_{frame:05d}.ply").write_bytes(content)
-    return folder
+        yield PlyWriter(temporary, folder.name, header)
 
 
 def _check_free(folder: Path) -> None:
@@ -69,9 +90,9 @@ def _check_free(folder: Path) -> None:
         )
 
 
-def _point_type(names: list[str]) -> np.dtype:
+def _point_type(names: tuple[str, ...]) -> np.dtype:
     """Record of one point, little-endian and packed."""
-    numbers = [(name, "<f4") for name in ("x", "y", "z", *names)]
+    numbers = [(name, "<f4") for name in ("x", "y", "z", "speed", *names)]
     return np.dtype([*numbers, ("particle_type", "u1")])
 
 

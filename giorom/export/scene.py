@@ -10,12 +10,19 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from giorom.state import Trajectory
 
-__all__ = ["Scene", "displacement", "frame_scene", "in_space", "particle_diameter"]
+__all__ = [
+    "Scene",
+    "diameter_from_spacing",
+    "displacement",
+    "frame_scene",
+    "in_space",
+    "particle_diameter",
+]
 
 VIEW_DIRECTION = {2: (0.0, 0.0, 1.0), 3: (0.55, 0.42, 1.0)}
 """From the body towards the camera, by dimension."""
@@ -153,24 +160,42 @@ def displacement(trajectory: Trajectory, frame: int) -> Float[Tensor, " p"]:
 
 
 def particle_diameter(trajectory: Trajectory) -> float:
-    """Diameter of the spheres that stand for the particles.
+    """Diameter of the spheres that stand for the particles of a motion.
 
     Args:
         trajectory: The motion.
 
     Returns:
-        The diameter [m], from the spacing of the free particles in the first frame: the median
-        distance to the 2 d-th neighbour, which on a regular grid is the spacing and for random
-        points nearly so (1.1 in units of volume^(1/d)), where the nearest one is half as far.
+        The diameter [m], from the spacing of its first frame.
+    """
+    return diameter_from_spacing(
+        trajectory.position[0], kinematic=trajectory.kinematic, bounds=trajectory.bounds
+    )
+
+
+def diameter_from_spacing(
+    position: Float[Tensor, "p d"], *, kinematic: Bool[Tensor, " p"], bounds: Float[Tensor, "d 2"]
+) -> float:
+    """Diameter of the spheres that stand for particles.
+
+    Args:
+        position: Positions [m].
+        kinematic: Which particles are prescribed; the others are measured if there are two.
+        bounds: Walls [m]; they give a size where all particles are in one place.
+
+    Returns:
+        The diameter [m], from the spacing of the free particles: the median distance to the
+        2 d-th neighbour, which on a regular grid is the spacing and for random points nearly so
+        (1.1 in units of volume^(1/d)), where the nearest one is half as far.
     """
     from scipy.spatial import cKDTree
 
-    free = trajectory.position[0, ~trajectory.kinematic]
-    points = in_space(free if len(free) > 1 else trajectory.position[0])
+    free = position[~kinematic]
+    points = in_space(free if len(free) > 1 else position)
     extent = float(np.linalg.norm(np.ptp(points, axis=0)))
     if extent == 0.0:
-        return 0.02 * float((trajectory.bounds[:, 1] - trajectory.bounds[:, 0]).max())
-    rank = min(2 * trajectory.position.shape[2] + 1, len(points))
+        return 0.02 * float((bounds[:, 1] - bounds[:, 0]).max())
+    rank = min(2 * position.shape[1] + 1, len(points))
     stride = max(1, len(points) // SPACING_SAMPLES)
     distance, _ = cKDTree(points).query(points[::stride], k=[rank])
     spacing = float(np.median(distance))
@@ -179,8 +204,9 @@ def particle_diameter(trajectory: Trajectory) -> float:
 
 def _extremes(trajectories: Sequence[Trajectory]) -> tuple[np.ndarray, np.ndarray]:
     """Opposite corners of the box around every frame of every motion."""
-    low = torch.stack([t.position.amin(dim=(0, 1)) for t in trajectories]).amin(dim=0)
-    high = torch.stack([t.position.amax(dim=(0, 1)) for t in trajectories]).amax(dim=0)
+    frames = [frame for trajectory in trajectories for frame in trajectory.position]
+    low = torch.stack([frame.amin(dim=0) for frame in frames]).amin(dim=0)
+    high = torch.stack([frame.amax(dim=0) for frame in frames]).amax(dim=0)
     ends = in_space(torch.stack([low, high]))
     return ends[0], ends[1]
 
@@ -203,10 +229,11 @@ def _domain(low: np.ndarray, high: np.ndarray, trajectory: Trajectory) -> np.nda
 
 def _largest_displacement(trajectory: Trajectory) -> float:
     """Largest displacement of a free particle over all frames [m], never zero."""
-    free = trajectory.position[:, ~trajectory.kinematic]
-    if free.shape[1] == 0:
+    free = ~trajectory.kinematic
+    if not bool(free.any()):
         return 1.0
-    largest = max(float((frame - free[0]).norm(dim=1).max()) for frame in free)
+    frames = range(trajectory.frame_count)
+    largest = max(float(displacement(trajectory, frame)[free].max()) for frame in frames)
     return largest if largest > 0.0 else 1.0
 
 

@@ -2,7 +2,8 @@
 
 Particles are coloured by their displacement from the first frame; all panels share the camera and
 the colour range (``giorom.export.scene``). Axis 1 points up. A film is H.264 in yuv420p at an even
-size, which every player opens; a contact sheet shows a few frames in one PNG.
+size, which every player opens; a contact sheet shows a few frames in one PNG. Frames that arrive
+one by one wait on the disk, because the camera and the colours need the whole motion.
 """
 
 import math
@@ -12,13 +13,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
+from torch import Tensor
 
 from giorom.data.atomic import replacing
 from giorom.export.drawing import STRIP_HEIGHT, canvas
 from giorom.export.scene import frame_scene
+from giorom.export.spool import Spool
+from giorom.export.writer import MotionHeader, MotionWriter
 from giorom.state import Trajectory
 
-__all__ = ["write_contact_sheet", "write_film"]
+__all__ = ["picture_writer", "write_contact_sheet", "write_film"]
 
 FILM_PANEL, FILM_SHARPNESS = (640, 560), 1.25
 """Width and height of a film's panel [pixels], and how much larger it is drawn."""
@@ -116,6 +121,52 @@ def write_contact_sheet(
         drawing.add_strip(row=len(motions))
         imageio.v3.imwrite(temporary, _shrink(drawing.image(), SHEET_SHARPNESS))
     return path
+
+
+class PictureWriter(MotionWriter):
+    """Keeps the frames on the disk and draws them at the end.
+
+    Args:
+        path: File to create or replace, ending in ``.mp4`` or ``.png``.
+        spool: Where the frames wait.
+        header: What is known before the first frame.
+    """
+
+    def __init__(self, path: Path, spool: Spool, header: MotionHeader) -> None:
+        super().__init__(header)
+        self._path, self._spool = path, spool
+
+    def _append(self, position: Tensor, _fields: dict[str, Tensor]) -> None:
+        self._spool.append(position)
+
+    def _finish(self) -> None:
+        draw = write_film if self._path.suffix.lower() == ".mp4" else write_contact_sheet
+        header = self.header
+        motion = Trajectory(
+            position=torch.from_numpy(self._spool.frames()),
+            particle_type=header.particle_type.cpu(),
+            frame_dt=header.frame_dt,
+            bounds=header.bounds.detach().cpu(),
+        )
+        draw(motion, self._path)
+
+
+@contextmanager
+def picture_writer(path: Path, header: MotionHeader) -> Iterator[PictureWriter]:
+    """Open a film or a contact sheet; fields are not shown.
+
+    Args:
+        path: File to create or replace, ending in ``.mp4`` or ``.png``.
+        header: What is known before the first frame.
+
+    Yields:
+        The writer.
+    """
+    import imageio_ffmpeg  # noqa: F401  (a missing extra is said before the work)
+    import pyvista  # noqa: F401
+
+    with Spool(path.parent, (header.particle_count, header.dimension)) as spool:
+        yield PictureWriter(path, spool, header)
 
 
 @contextmanager

@@ -1,0 +1,158 @@
+"""Open a motion to export it: from a file of ours, or from a foreign one through its reader.
+
+Frames are read in order and one block at a time. What a foreign format does not say has to be said
+by the caller (the time between frames) or is measured (the bounds).
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from giorom.data.metadata import DataError
+from giorom.data.readers import ForeignTrajectory, detect_format
+from giorom.data.trajectory_stream import find_stored, is_trajectory_file
+from giorom.export.writer import MotionHeader
+
+__all__ = ["MotionSource", "open_source"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotionSource:
+    """A motion to be read once."""
+
+    name: str
+    """Where it comes from, for messages."""
+
+    header: MotionHeader
+    """What is known before the first frame."""
+
+    frame_count: int | None
+    """Number of frames, where it is known before they are read."""
+
+    frames: Iterator[Tensor]
+    """Positions of one frame after the other, shape (p, d) [m]."""
+
+
+def open_source(
+    path: Path, *, split: str, index: int, stride: int = 1, frame_dt: float | None = None
+) -> MotionSource:
+    """Open one motion of a file or folder.
+
+    Args:
+        path: A trajectory file, the folder of a data set, or a foreign file or folder.
+        split: Part of a data set.
+        index: Number of the trajectory.
+        stride: Take every so manyth frame.
+        frame_dt: Time between the stored frames [s], over what the file says.
+
+    Raises:
+        DataError: If there is no such motion, or the file is damaged or of no known format.
+        ValueError: If the stride leaves no motion, or nobody says the time between frames.
+    """
+    if stride < 1:
+        raise ValueError(f"the stride must be >= 1, got {stride}.")
+    if frame_dt is not None and not 0.0 < frame_dt < float("inf"):
+        raise ValueError(f"the time between frames must be > 0 s, got {frame_dt!r}.")
+    if _is_ours(path):
+        return _ours(path, split=split, index=index, stride=stride, frame_dt=frame_dt)
+    return _foreign(path, split=split, index=index, stride=stride, frame_dt=frame_dt)
+
+
+def _is_ours(path: Path) -> bool:
+    """Whether the readers of ``giorom.data`` open it themselves (or say best why they do not)."""
+    if not path.exists():
+        raise DataError(f"{path} does not exist. Check the path.")
+    if path.is_dir():
+        metadata = (path / "metadata.json").is_file()
+        return metadata and any(path.glob("*.h5"))
+    return is_trajectory_file(path)
+
+
+def _ours(
+    path: Path, *, split: str, index: int, stride: int, frame_dt: float | None
+) -> MotionSource:
+    stored = find_stored(path, split=split, index=index)
+    name = f"{stored.path}[{stored.name}]"
+    _check_stride(stride, stored.frame_count, name)
+    header = MotionHeader(
+        particle_type=torch.from_numpy(stored.particle_type),
+        frame_dt=stride * (stored.frame_dt if frame_dt is None else frame_dt),
+        bounds=torch.from_numpy(stored.bounds),
+        attributes=stored.attributes,
+    )
+    return MotionSource(
+        name=name,
+        header=header,
+        frame_count=-(-stored.frame_count // stride),
+        frames=(torch.from_numpy(frame) for frame in stored.frames(stride=stride)),
+    )
+
+
+def _foreign(
+    path: Path, *, split: str, index: int, stride: int, frame_dt: float | None
+) -> MotionSource:
+    motion = _pick(path, split=split, index=index)
+    step = motion.frame_dt if frame_dt is None else frame_dt
+    if step is None:
+        raise ValueError(
+            f"{motion.name} does not say the time between its frames. Give it with --frame-dt."
+        )
+    if motion.frame_count is not None:
+        _check_stride(stride, motion.frame_count, motion.name)
+    bounds = _measured_bounds(motion) if motion.bounds is None else motion.bounds
+    header = MotionHeader(
+        particle_type=torch.from_numpy(motion.particle_type),
+        frame_dt=stride * step,
+        bounds=torch.from_numpy(bounds.astype(np.float32)),
+        attributes={"source": motion.name},
+    )
+    count = motion.frame_count
+    return MotionSource(
+        name=motion.name,
+        header=header,
+        frame_count=None if count is None else -(-count // stride),
+        frames=(
+            torch.from_numpy(np.array(frame)) for frame in islice(motion.frames(), 0, None, stride)
+        ),
+    )
+
+
+def _pick(path: Path, *, split: str, index: int) -> ForeignTrajectory:
+    """The trajectory of that number; the split counts where the source has splits."""
+    count = 0
+    for motion in detect_format(path).read(path):
+        if motion.split not in (None, split):
+            continue
+        if count == index:
+            return motion
+        count += 1
+    raise DataError(
+        f"{path} has no trajectory {index}; it holds {count}, numbered from 0. Ask for a number "
+        f"below {count}, or for another split."
+    )
+
+
+def _measured_bounds(motion: ForeignTrajectory) -> np.ndarray:
+    """The box around all frames [m]."""
+    low = high = None
+    for frame in motion.frames():
+        least, most = frame.min(axis=0), frame.max(axis=0)
+        low = least if low is None else np.minimum(low, least)
+        high = most if high is None else np.maximum(high, most)
+    if low is None or high is None:
+        raise DataError(f"{motion.name} has no frame; nothing can be exported.")
+    return np.stack([low, high], axis=1)
+
+
+def _check_stride(stride: int, frames: int, name: str) -> None:
+    """Refuse a stride that leaves one frame of several."""
+    if 1 < frames <= stride:
+        raise ValueError(
+            f"every {stride}th frame of the {frames} of {name} is the first one alone. Use a "
+            f"stride below {frames}."
+        )
