@@ -22,6 +22,7 @@ COMMANDS = {
 EXTRAS = {
     "warp": "sim",
     "trimesh": "sim",
+    "submitit": "slurm",
     "pyvista": "render",
     "imageio": "render",
     "imageio_ffmpeg": "render",
@@ -81,10 +82,9 @@ def _run(name: str, arguments: list[str]) -> int:
         )
     except ValueError as error:
         return _refuse(name, str(error), 2)
-    except KeyboardInterrupt:
-        return _refuse(
-            name, "interrupted; run the same command again (training: with --resume).", 130
-        )
+    except KeyboardInterrupt as error:
+        line = str(error) or "interrupted; run the same command again (training: with --resume)."
+        return _refuse(name, line, 130)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0

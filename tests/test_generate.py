@@ -1,16 +1,19 @@
 """Making a data set: continued where it stopped, failures counted, nothing mixed."""
 
+import json
 import shutil
 from dataclasses import replace
 
 import pytest
 import torch
 
-from giorom import generate as module
 from giorom.data.metadata import DataError
 from giorom.data.trajectory_file import iterate_trajectories, read_metadata, read_trajectory_file
 from giorom.data.work_folder import finished_parts, part_path, split_parts
+from giorom.generate import trajectory as module
 from giorom.mpm import SimulationError
+from giorom.mpm import draw_scene as draw
+from giorom.mpm.simulate import chosen_substeps
 
 
 @pytest.fixture
@@ -47,13 +50,10 @@ def test_only_the_missing_trajectory_is_made_and_it_is_the_same(
     before = read_trajectory_file(part_path(folder, 1)).position
     part_path(folder, 1).unlink()
     made = []
-    simulate = module.simulate
     monkeypatch.setattr(
         module,
-        "simulate",
-        lambda scene, *rest, **options: (
-            made.append(scene.attributes["seed"]) or simulate(scene, *rest, **options)
-        ),
+        "draw_scene",
+        lambda *rest, **given: made.append(given["seed"]) or draw(*rest, **given),
     )
     make_data(short, folder, trajectories=3)
     assert made == [1]
@@ -64,26 +64,42 @@ def test_finished_set_is_made_again_from_its_parts(short, make_data, tmp_path, m
     """No scene is simulated; the metadata are those of before but for the clock."""
     make_data(short, tmp_path / "data", trajectories=3)
     before = read_metadata(tmp_path / "data")
-    monkeypatch.setattr(module, "simulate", None)
+    monkeypatch.setattr(module, "Run", None)
     result = make_data(short, tmp_path / "data", trajectories=3)
     assert read_metadata(tmp_path / "data") == before
     assert result["particle_substeps_per_second"] is None
 
 
-def test_scene_that_breaks_a_guard_is_counted_and_left_out(short, make_data, tmp_path, monkeypatch):
+@pytest.fixture
+def guards(monkeypatch):
+    """Let the guard of chosen scenes break: {seed: how many runs break}."""
+    breaking, run = {}, module.Run
+
+    class Fragile(run):
+        def frames(self):
+            yield from ()
+            seed = self.scene.attributes["seed"]
+            if breaking.get(seed, 0) > 0:
+                breaking[seed] -= 1
+                raise SimulationError("frame 2: guard 'speed'\n broken.")
+            yield from super().frames()
+
+    monkeypatch.setattr(module, "Run", Fragile)
+    return breaking
+
+
+def test_scene_that_breaks_a_guard_three_times_is_listed_and_left_out(
+    short, make_data, tmp_path, guards
+):
     """Trajectory 1 fails; the others keep their numbers and their splits."""
-    simulate = module.simulate
-
-    def sometimes(scene, *rest, **options):
-        if scene.attributes["seed"] == 1:
-            raise SimulationError("frame 2: guard 'speed'\n broken")
-        return simulate(scene, *rest, **options)
-
-    monkeypatch.setattr(module, "simulate", sometimes)
+    guards[1] = 3
     result = make_data(short, tmp_path / "data", trajectories=4)
+    reason = "frame 2: guard 'speed' broken. It broke a guard with 4 times the substeps too."
     assert result["trajectories"] == 3
     assert result["failed"] == 1
-    assert result["failures"] == [{"index": 1, "reason": "frame 2: guard 'speed' broken"}]
+    assert result["failures"] == [{"index": 1, "reason": reason}]
+    listed = json.loads((tmp_path / "data" / "failures.json").read_text())
+    assert listed == {"failures": result["failures"]}
     assert finished_parts(tmp_path / "data") == [0, 2, 3]
     seeds = [
         motion.attributes["seed"]
@@ -91,16 +107,28 @@ def test_scene_that_breaks_a_guard_is_counted_and_left_out(short, make_data, tmp
         for motion in iterate_trajectories(tmp_path / "data", name)
     ]
     assert sorted(seeds) == [0, 2, 3]
+    assert make_data(short, tmp_path / "data", trajectories=4)["failed"] == 0
+    assert not (tmp_path / "data" / "failures.json").exists()
 
 
-def test_set_whose_every_scene_fails_is_an_error(short, make_data, tmp_path, monkeypatch):
+def test_scene_that_breaks_a_guard_is_repeated_with_more_substeps(
+    short, make_data, tmp_path, guards
+):
+    """Twice, then four times as many as the rules ask for; the trajectory says so."""
+    guards |= {1: 1, 2: 2}
+    make_data(short, tmp_path / "data", trajectories=3)
+    kept = [read_trajectory_file(part_path(tmp_path / "data", i)).attributes for i in range(3)]
+    for index, factor in enumerate((1, 2, 4)):
+        scene = draw(short.scene, seed=index)
+        assert kept[index]["substeps"] == factor * chosen_substeps(scene, short.solver)
+        assert kept[index].get("substep_factor", 1) == factor
+    assert kept[2]["guard_broken"] == "frame 2: guard 'speed' broken."
+
+
+def test_set_whose_every_scene_fails_is_an_error(short, make_data, tmp_path, guards):
     """The reason of the first failure is the message."""
-
-    def never(*_, **__):
-        raise SimulationError("guard 'box' broken")
-
-    monkeypatch.setattr(module, "simulate", never)
-    with pytest.raises(SimulationError, match=r"no trajectory could be simulated.*guard 'box'"):
+    guards |= {0: 3, 1: 3}
+    with pytest.raises(SimulationError, match=r"no trajectory could be simulated.*guard 'speed'"):
         make_data(short, tmp_path / "data", trajectories=2)
     assert not (tmp_path / "data" / "metadata.json").exists()
 

@@ -6,6 +6,7 @@ file or the new one and never a half. The temporary name starts with a dot and k
 extension, because some writers choose their format by it.
 """
 
+import errno
 import json
 import os
 import shutil
@@ -85,6 +86,19 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
         ) from error
     with replacing(path) as temporary:
         temporary.write_text(text + "\n", encoding="utf-8")
+
+
+def disk_is_full(error: BaseException) -> bool:
+    """Whether an exception says that no space is left, from the system or from HDF5.
+
+    Args:
+        error: What was raised while something was written.
+
+    Returns:
+        True also if HDF5 has put the system's answer into its own words.
+    """
+    number = error.errno if isinstance(error, OSError) else None
+    return number == errno.ENOSPC or os.strerror(errno.ENOSPC) in str(error)
 
 
 def _flush(path: Path) -> None:

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from giorom.data.atomic import replacing
+from giorom.data.atomic import disk_is_full, replacing
 from giorom.data.metadata import FORMAT_VERSION, DataError, read_metadata
 from giorom.state import PARTICLE_TYPE_COUNT, Trajectory
 
@@ -207,6 +207,8 @@ def opened(path: Path) -> Iterator[Any]:
     except DataError:
         raise
     except (OSError, KeyError, RuntimeError) as error:
+        if disk_is_full(error):  # of the file that is being written meanwhile
+            raise
         raise DataError(
             f"{path} is truncated, damaged or no HDF5 file ({_one_line(error)}). "
             f"Copy it again or remake it."
