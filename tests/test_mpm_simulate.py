@@ -10,9 +10,11 @@ from typing import Any
 import pytest
 import torch
 
-from giorom.mpm import Scene, SimulationError, SolverConfig, draw_scene, simulate
+from giorom.mpm import Scene, SimulationError, SolverConfig, draw_scene, make_material, simulate
 from giorom.mpm.boundary import walls_of
+from giorom.mpm.engine import Engine
 from giorom.mpm.scene_config import ELASTIC3D, JELLY3D, WATER2D
+from giorom.state import SAND
 
 # ``giorom.mpm.simulate`` names the function; its module is reached like this.
 simulate_module = importlib.import_module("giorom.mpm.simulate")
@@ -162,3 +164,29 @@ def test_compiling_is_not_part_of_the_measured_run(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(simulate_module, "time", SimpleNamespace(perf_counter=noted_clock))
     simulate(draw_scene(COARSE, seed=0), replace(SOLVER, frames=2))
     assert events == ["load", "load", "clock", "clock"]  # grid kernels and those of the law
+
+
+def test_lone_grain_that_is_pulled_apart_bears_no_strain():
+    """Sand has no tension: ``b`` returns to one in every substep, to rounding.
+
+    One grain on its own keeps its velocity gradient (APIC is exact for affine fields) and is
+    pulled apart in every substep; rounding in one triangle of ``b`` must not feed on itself.
+    """
+    sand = make_material(
+        "drucker_prager_sand",
+        {"density": 1e3, "youngs_modulus": 1e6, "poissons_ratio": 0.2, "friction_angle": 30.0},
+    )
+    scene = Scene(
+        position=torch.tensor([[0.51, 0.49]]),
+        velocity=torch.zeros(1, 2),
+        affine_velocity=torch.tensor([[[200.0, -50.0], [-20.0, 150.0]]]),
+        volume=torch.tensor([1e-4]),
+        particle_type=torch.tensor([SAND]),
+        materials=(sand,),
+        material_index=torch.tensor([0]),
+        bounds=torch.tensor([[0.1, 0.9], [0.1, 0.9]]),
+    )
+    engine = Engine(scene, walls_of(scene, 60), substep_dt=3e-4, device="cpu")
+    engine.advance(3000)
+    (strain,) = engine.strain()
+    torch.testing.assert_close(strain, torch.eye(2), rtol=0.0, atol=1e-6)

@@ -166,7 +166,9 @@ def _transport(dimension: int):
     @wp.func
     def transport(b: matrix, gradient: matrix, dt: float):
         growth = wp.identity(n=dimension, dtype=float) + dt * gradient
-        return growth * b * wp.transpose(growth)
+        grown = growth * b * wp.transpose(growth)
+        # The eigen-solve reads one triangle; rounding in the other would grow unseen.
+        return 0.5 * (grown + wp.transpose(grown))
 
     return transport
 
