@@ -12,6 +12,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import contextmanager
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -136,15 +137,17 @@ def test_full_disk_ends_the_work_in_one_line_and_keeps_the_parts(
     short, uninterrupted, tmp_path, monkeypatch
 ):
     """ENOSPC of the third part; with room again the set is completed."""
-    folder, write = tmp_path / "data", module.write_part
+    folder, write = tmp_path / "data", module.open_trajectory_writer
 
-    def full(folder, index, trajectory):
-        if index == 2:
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        return write(folder, index, trajectory)
+    @contextmanager
+    def full(path, **options):
+        with write(path, **options) as writer:
+            if path.name == "00002.h5":
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            yield writer
 
     with monkeypatch.context() as patch:
-        patch.setattr(module, "write_part", full)
+        patch.setattr(module, "open_trajectory_writer", full)
         with pytest.raises(OSError, match=rf"no space is left .* 2 of {COUNT} trajectories"):
             make(short, folder)
     assert finished_parts(folder) == [0, 1]
@@ -186,6 +189,7 @@ def test_second_writer_is_refused_and_a_lock_left_behind_is_not(short, tmp_path)
         ({}, 10**12, "at most 1000000 trajectories"),
         ({"frames": 10**12}, 2, r"take about .* TiB on the disk, but .* are free"),
         ({"frames": 10**12, "grid_cells": 64}, 10**6, r"take about .* TiB on the disk"),
+        ({"grid_cells": 1024}, 4, r"take about .* GiB of memory, but .* are free"),
     ],
 )
 def test_absurd_requests_are_refused_before_work(tiny, tmp_path, change, trajectories, message):

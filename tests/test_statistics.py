@@ -102,3 +102,21 @@ def test_data_without_an_acceleration_are_refused(frames, kinematic):
     position = falling(frames, torch.ones(2).double())
     with pytest.raises(ValueError, match="no acceleration can be measured"):
         measure_statistics([make_trajectory(position, kinematic=kinematic)])
+
+
+def test_long_trajectory_is_measured_block_by_block_with_the_same_result(monkeypatch):
+    """Reference: all frames at once; every step and second difference is counted once."""
+    for frames in (3, 7, 8, 9, 23):
+        generator = torch.Generator().manual_seed(frames)
+        motion = Trajectory(
+            position=torch.rand(frames, 5, 2, generator=generator),
+            particle_type=torch.tensor([5, 5, 3, 5, 5]),
+            frame_dt=1e-2,
+            bounds=torch.tensor([[0.0, 1.0], [0.0, 1.0]]),
+        )
+        whole = measure_statistics([motion])
+        with monkeypatch.context() as patch:
+            patch.setattr("giorom.data.statistics.BLOCK_NUMBERS", 20)
+            blocks = measure_statistics([motion])
+        for name, value in vars(whole).items():
+            torch.testing.assert_close(getattr(blocks, name), value, rtol=1e-12, atol=1e-12)

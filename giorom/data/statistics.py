@@ -21,6 +21,9 @@ from giorom.state import Trajectory
 
 __all__ = ["Statistics", "StatisticsAccumulator", "measure_statistics"]
 
+BLOCK_NUMBERS = 1 << 22
+"""Coordinates that are differenced in float64 at a time: 32 MiB, however long a trajectory."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Statistics:
@@ -122,10 +125,13 @@ def measure_statistics(trajectories: Iterable[Trajectory]) -> Statistics:
     """
     total = StatisticsAccumulator()
     for trajectory in trajectories:
-        position = trajectory.position[:, ~trajectory.kinematic].double()
-        step = position.diff(dim=0)
-        total.velocity.add(step.flatten(0, 1))
-        total.acceleration.add(step.diff(dim=0).flatten(0, 1))
+        block = max(1, BLOCK_NUMBERS // max(1, trajectory.position[0].numel()))
+        for first in range(0, trajectory.frame_count - 1, block):
+            # Two frames more than steps, for the second differences.
+            window = trajectory.position[first : first + block + 2]
+            step = window[:, ~trajectory.kinematic].double().diff(dim=0)
+            total.velocity.add(step[:block].flatten(0, 1))
+            total.acceleration.add(step.diff(dim=0).flatten(0, 1))
     return total.statistics()
 
 

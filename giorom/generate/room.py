@@ -16,6 +16,9 @@ from giorom.mpm import Scene, SolverConfig
 COMPRESSED = 0.6
 """Share of its size that a trajectory takes on the disk; moving bodies were measured at 0.8."""
 
+WHOLE = 1.5
+"""Size in memory of a trajectory whose statistics are measured, over that of its positions."""
+
 BYTES_PER_PARTICLE = 128
 """Memory of the solver for one particle in three dimensions."""
 
@@ -54,13 +57,14 @@ def require_room(
             f"for a larger SceneConfig.spacing, or free some space."
         )
     grid = solver.grid_cells**dimension * (dimension + 1) * 4
-    memory = min(jobs, max(missing, 1)) * (trajectory + grid + points * BYTES_PER_PARTICLE)
+    memory = min(jobs, missing) * (grid + points * BYTES_PER_PARTICLE) + WHOLE * trajectory
     present = free_memory()
-    if missing and present is not None and memory > present:
+    if present is not None and memory > present:
         raise ValueError(
-            f"{jobs} runs at a time of {what} on a grid of {solver.grid_cells} cells per axis "
-            f"take about {_text(memory)} of memory, but {_text(present)} are free. Use fewer "
-            f"--jobs, fewer frames, or a larger SceneConfig.spacing."
+            f"{min(jobs, missing)} runs at a time on a grid of {solver.grid_cells} cells per axis, "
+            f"and the statistics of {what}, take about {_text(memory)} of memory, but "
+            f"{_text(present)} are free. Use fewer --jobs, fewer frames, or a larger "
+            f"SceneConfig.spacing."
         )
 
 

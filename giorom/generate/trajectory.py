@@ -1,5 +1,6 @@
 """Make one trajectory of a data set: draw its scene, simulate it, keep it as a part.
 
+Frames are written as they come, so that memory does not grow with their number.
 The part file depends on the experiment and the number of the trajectory alone, byte for byte:
 what was measured (seconds, retries of a process) is in the ``Outcome`` and goes to a log.
 
@@ -11,15 +12,14 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-
-import torch
+from typing import Any
 
 from giorom.config import Experiment
-from giorom.data.work_folder import write_part
+from giorom.data.trajectory_writer import open_trajectory_writer
+from giorom.data.work_folder import part_path
 from giorom.mpm import Scene, SimulationError, draw_scene
 from giorom.mpm.simulate import MOST_SUBSTEPS, Run, chosen_substeps
 from giorom.records import one_line
-from giorom.state import Trajectory
 
 SCENES_PER_SEED = 1_000_000
 """Most trajectories of one data set; sets of different seeds share no scene."""
@@ -92,14 +92,13 @@ def make_part(
         for factor in SUBSTEP_FACTORS:
             try:
                 run = _start(experiment, scene, factor, device=device)
-                trajectory = _trajectory(run, factor, broken, tick=tick)
+                _write(run, part_path(folder, job.index), _repetition(factor, broken), tick=tick)
             except SimulationError as error:
                 broken = broken or one_line(error)
                 continue
-            write_part(folder, job.index, trajectory)
             return Outcome(
                 index=job.index,
-                particle_substeps=run.work(trajectory.frame_count - 1),
+                particle_substeps=run.work(run.solver.frames - 1),
                 seconds=time.perf_counter() - start,
                 substep_factor=factor,
             )
@@ -124,17 +123,20 @@ def _start(experiment: Experiment, scene: Scene, factor: int, *, device: str) ->
     return Run(scene, solver, device=device)
 
 
-def _trajectory(run: Run, factor: int, broken: str | None, *, tick: Tick) -> Trajectory:
-    """All frames of a run, with what makes them and nothing that was measured."""
-    position = torch.empty(run.solver.frames, *run.scene.position.shape)
-    for frame, current in enumerate(run.frames()):
-        position[frame] = current
-        tick(frame + 1)
-    repeated = {} if factor == 1 else {"substep_factor": factor, "guard_broken": broken}
-    return Trajectory(
-        position=position,
-        particle_type=run.scene.particle_type,
+def _repetition(factor: int, broken: str | None) -> dict[str, Any]:
+    """What a trajectory says about the runs before the one it holds."""
+    return {} if factor == 1 else {"substep_factor": factor, "guard_broken": broken}
+
+
+def _write(run: Run, path: Path, more: dict[str, Any], *, tick: Tick) -> None:
+    """Write the frames of a run as they come, with what makes them and nothing measured."""
+    with open_trajectory_writer(
+        path,
+        particle_type=run.scene.particle_type.numpy(),
         frame_dt=run.solver.frame_dt,
-        bounds=run.bounds,
-        attributes=run.attributes | repeated,
-    )
+        bounds=run.bounds.numpy(),
+        attributes=run.attributes | more,
+    ) as writer:
+        for frame, position in enumerate(run.frames(), start=1):
+            writer.append(position.numpy())
+            tick(frame)
