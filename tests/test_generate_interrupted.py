@@ -189,7 +189,6 @@ def test_second_writer_is_refused_and_a_lock_left_behind_is_not(short, tmp_path)
         ({}, 10**12, "at most 1000000 trajectories"),
         ({"frames": 10**12}, 2, r"take about .* TiB on the disk, but .* are free"),
         ({"frames": 10**12, "grid_cells": 64}, 10**6, r"take about .* TiB on the disk"),
-        ({"grid_cells": 1024}, 4, r"take about .* GiB of memory, but .* are free"),
     ],
 )
 def test_absurd_requests_are_refused_before_work(tiny, tmp_path, change, trajectories, message):
@@ -200,14 +199,18 @@ def test_absurd_requests_are_refused_before_work(tiny, tmp_path, change, traject
     assert not (tmp_path / "data").exists()
 
 
-def test_runs_that_exceed_the_memory_are_refused(short, tmp_path, monkeypatch):
-    """A machine with one mebibyte left; a finished set needs none."""
+def test_runs_that_exceed_the_memory_are_refused(tiny, short, tmp_path, monkeypatch):
+    """A thousand processes, or a grid of 1024 cells, on a machine with eight mebibytes left."""
     folder = tmp_path / "data"
     make(short, folder)
-    monkeypatch.setattr("giorom.generate.room.free_memory", lambda: 1 << 20)
+    monkeypatch.setattr("giorom.generate.room.free_memory", lambda: 8 << 20)
     make(short, folder)
-    with pytest.raises(ValueError, match=r"1000 runs at a time .* but 1 MiB are free.*--jobs"):
+    with pytest.raises(ValueError, match=r"1000 runs at a time .* but 8 MiB are free.*--jobs"):
         make(short, folder, trajectories=2000, jobs=1000)
+    fine = replace(tiny, solver=replace(tiny.solver, grid_cells=1024))
+    with pytest.raises(ValueError, match=r"1024 cells per axis.* take about 16 GiB of memory"):
+        make(fine, tmp_path / "fine")
+    assert not (tmp_path / "fine").exists()
 
 
 class FakeWorker(pool._Worker):
