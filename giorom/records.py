@@ -4,6 +4,7 @@ A configuration is a frozen dataclass beside the code it steers. This module tur
 YAML values into one, checking every type; the records check their own values.
 """
 
+import copy
 import dataclasses
 import difflib
 import typing
@@ -38,7 +39,7 @@ def parse_record(kind: type[Record], values: Any, *, where: str) -> Record:
     parser = ArgumentParser(exit_on_error=False)
     parser.add_class_arguments(kind)
     try:
-        parsed = parser.instantiate(parser.parse_object(values))
+        parsed = parser.instantiate(parser.parse_object(copy.deepcopy(values)))
         return kind(**{field.name: parsed[field.name] for field in dataclasses.fields(kind)})
     except (ArgumentError, TypeError, ValueError) as error:
         raise ValueError(f"{where}: {one_line(error)}") from None
@@ -59,12 +60,17 @@ def check_keys(kind: type, values: Any, *, where: str) -> None:
                 f"{where}: {kind.__name__} has no field {key!r}. {nearest(key, fields)}"
             )
         inner = record_type(fields[key])
-        if inner is not None and value is not None:
+        if inner is None or value is None:
+            continue
+        if typing.get_origin(fields[key]) is list and isinstance(value, list):
+            for number, entry in enumerate(value):
+                check_keys(inner, entry, where=f"{where}[{key}][{number}]")
+        else:
             check_keys(inner, value, where=f"{where}[{key}]")
 
 
 def record_type(annotation: Any) -> type | None:
-    """The dataclass an annotation names, alone or in ``X | None``."""
+    """The dataclass an annotation names, alone, in ``X | None`` or in ``list[X]``."""
     for option in (annotation, *typing.get_args(annotation)):
         if dataclasses.is_dataclass(option):
             return option

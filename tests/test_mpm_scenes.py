@@ -14,8 +14,14 @@ from scipy.spatial.distance import cdist
 
 from giorom.mpm import SolverConfig, draw_scene, simulate
 from giorom.mpm.bodies import draw_bodies
-from giorom.mpm.scene_config import ELASTIC3D, JELLY3D, WATER2D
-from giorom.state import ELASTIC, KINEMATIC, WATER
+from giorom.mpm.scene_config import (
+    ELASTIC3D,
+    JELLY3D,
+    WATER2D,
+    MaterialChoice,
+    SwitchChoice,
+)
+from giorom.state import ELASTIC, KINEMATIC, SAND, WATER
 
 trimesh = pytest.importorskip("trimesh")
 
@@ -175,6 +181,93 @@ def test_large_body_keeps_to_the_part_of_its_placement_where_it_fits():
     assert centers[:, 1].min() >= 0.4
 
 
+STIFF = MaterialChoice(
+    material="stable_neo_hookean",
+    material_parameters={"density": 1e3, "youngs_modulus": 1e6, "poissons_ratio": 0.3},
+    particle_type=0,
+)
+GRAINS = {"density": 1e3, "youngs_modulus": 1e6, "poissons_ratio": 0.2, "friction_angle": 30.0}
+MIXED = replace(
+    SEVERAL,
+    mixture=[
+        STIFF,
+        MaterialChoice(material="drucker_prager_sand", material_parameters=GRAINS),
+    ],
+)
+
+
+def test_each_body_of_a_mixture_is_of_one_material_and_all_occur():
+    """Type and density follow the material; the scene lists those in use and no other."""
+    seen = set()
+    for seed in range(12):
+        scene, bodies = draw_scene(MIXED, seed=seed), draw_bodies(MIXED, seed=seed)
+        start = 0
+        for body in bodies:
+            part = slice(start, start + len(body.position))
+            (kind,) = scene.particle_type[part].unique().tolist()
+            (index,) = scene.material_index[part].unique().tolist()
+            assert kind == (WATER, 0, SAND)[body.choice]
+            name = ("weakly_compressible_fluid", STIFF.material, "drucker_prager_sand")
+            assert scene.materials[index].name == name[body.choice]
+            start = part.stop
+        assert scene.material_index.unique().tolist() == list(range(len(scene.materials)))
+        seen |= {body.choice for body in bodies}
+    assert seen == {0, 1, 2}
+
+
+def test_mixed_bodies_move_for_two_frames():
+    """The solver takes such a scene; types are kept."""
+    seed = next(n for n in range(20) if len(draw_scene(MIXED, seed=n).materials) == 3)
+    scene = draw_scene(MIXED, seed=seed)
+    run = simulate(scene, SolverConfig(grid_cells=64, frame_dt=2.5e-3, frames=3))
+    assert torch.equal(run.particle_type, scene.particle_type)
+    assert float((run.position[-1] - run.position[0]).norm(dim=1).min()) > 0.0
+
+
+def test_melting_body_holds_its_shape_until_the_switch_and_spreads_after_it():
+    """Plasticine that becomes sand: its height stays, then falls under its own weight."""
+    solid = {"density": 1e3, "youngs_modulus": 3e5, "poissons_ratio": 0.25}
+    config = replace(
+        WATER2D,
+        material="von_mises_plasticine",
+        material_parameters=solid | {"yield_stress": 2e4},
+        shapes=["box"],
+        height_range=[0.3, 0.3],
+        slenderness=[0.5, 0.5],
+        speed_range=[0.0, 0.0],
+        spacing=1.0 / 64.0,
+        wall=0.125,
+        placement=[[0.5, 0.5], [0.276, 0.276]],
+        switch=SwitchChoice(
+            frame=40,
+            material="drucker_prager_sand",
+            material_parameters=solid | {"friction_angle": 20.0},
+        ),
+    )
+    run = simulate(
+        draw_scene(config, seed=0), SolverConfig(grid_cells=32, frame_dt=5e-3, frames=91)
+    )
+    height = run.position[:, :, 1].quantile(0.98, dim=1) - 0.125
+    assert float(height[40]) > 0.9 * float(height[0])
+    assert float(height[90]) < 0.75 * float(height[0])
+    again = replace(config, switch=None)
+    kept = simulate(
+        draw_scene(again, seed=0), SolverConfig(grid_cells=32, frame_dt=5e-3, frames=91)
+    )
+    assert torch.equal(kept.position[:41], run.position[:41])
+    assert float(kept.position[90, :, 1].quantile(0.98) - 0.125) > 0.9 * float(height[0])
+
+
+@pytest.mark.parametrize("shape", ["torus", "fish", "box"])
+def test_number_of_particles_is_the_one_asked_for(shape: str):
+    """Whatever the body's volume, to 3 %; its spacing is kept among the attributes."""
+    config = replace(JELLY3D, spacing=None, points=4000, held_out_shapes=["torus", "fish"])
+    scene = draw_scene(config, seed=1, shape=shape)
+    assert len(scene.position) == pytest.approx(4000, rel=0.03)
+    filled = float(scene.volume.double().sum())
+    assert scene.attributes["spacing"] ** 3 * 4000 == pytest.approx(filled, rel=0.03)
+
+
 def test_lying_mesh_is_clamped_over_its_own_height(tmp_path: Path):
     """A rod along axis 0: longest edge = drawn height, one layer or more is held."""
     path = tmp_path / "rod.obj"
@@ -207,6 +300,10 @@ def test_scene_that_reaches_beyond_a_wall_is_refused():
         ({"clamped_fraction": 1.0}, "between 0 and 1"),
         ({"impulses": ["jump"]}, "bend, sway, twist, axial"),
         ({"placement": [[0.5, 0.5]]}, "each of the 3 axes"),
+        ({"spacing": None}, "exactly one of spacing and points"),
+        ({"points": 100}, "exactly one of spacing and points"),
+        ({"spacing": None, "points": 0}, "points must be >= 1"),
+        ({"mixture": [STIFF]}, "a clamped scene has one body of one material"),
         ({"bodies": [1, 2]}, "a clamped scene has one body"),
         ({"bodies": [2, 1]}, "1 <= fewest <= most"),
         ({"family": "thrown", "bodies": [0, 1]}, "1 <= fewest <= most"),
@@ -217,3 +314,16 @@ def test_impossible_configurations_are_refused(change: dict, message: str):
     """Each message names the field and the rule."""
     with pytest.raises(ValueError, match=message):
         replace(ELASTIC3D, **change)
+
+
+@pytest.mark.parametrize("particle_type", [KINEMATIC, -1, 9])
+def test_type_that_no_material_may_have_is_refused(particle_type: int):
+    """Three is for held particles; nine is beyond the embedding."""
+    with pytest.raises(ValueError, match="must be 0 to 8 and not 3"):
+        replace(STIFF, particle_type=particle_type)
+
+
+def test_switch_before_the_first_frame_is_refused():
+    """Then the body simply is of the other material."""
+    with pytest.raises(ValueError, match="must be at least 1"):
+        SwitchChoice(frame=0, material="drucker_prager_sand", material_parameters=GRAINS)

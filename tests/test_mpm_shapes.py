@@ -1,11 +1,15 @@
 """Procedural shapes, mesh files and their filling with particles."""
 
 import math
+from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
+from giorom.mpm.creatures import CREATURES, draw_creature
 from giorom.mpm.mesh import Columns, load_mesh_shape
 from giorom.mpm.shape_library import SHAPES, Proportions, draw_shape
 from giorom.mpm.shapes import (
@@ -17,6 +21,7 @@ from giorom.mpm.shapes import (
     lattice,
     superquadric_level,
     torus_distance,
+    volume_of,
 )
 
 trimesh = pytest.importorskip("trimesh")
@@ -35,19 +40,20 @@ def drawn(name: str, dimension: int, seed: int = 0) -> Shape:
 
 @pytest.mark.parametrize(("name", "dimension"), NAMES)
 def test_every_shape_has_the_height_asked_for(name: str, dimension: int):
-    """The bounding box of a fine lattice inside is the stated one, to two spacings."""
+    """The bounding box of a fine lattice inside is the stated one; a creature's longest edge."""
     shape = drawn(name, dimension)
     spacing = 0.3 / (60 if dimension == 3 else 200)
     points = lattice(shape.extent, spacing)
     inside = points[shape.level(points) < 0.0]
     edges = inside.max(axis=0) - inside.min(axis=0)
-    assert math.isclose(shape.extent[1], 0.3, rel_tol=1e-9)
+    stated = max(shape.extent) if name in CREATURES else shape.extent[1]
+    assert math.isclose(stated, 0.3, rel_tol=1e-9)
     np.testing.assert_allclose(edges, shape.extent, atol=3.0 * spacing)
 
 
 @pytest.mark.parametrize(
     ("name", "dimension"),
-    [pair for pair in NAMES if pair[0] not in ("ellipsoid", "superquadric", "stack", "blob")],
+    [pair for pair in NAMES if drawn(*pair).volume is not None],
 )
 def test_lattice_volume_is_that_of_the_closed_form(name: str, dimension: int):
     """N h^d counts the volume; 2 % at 60 (3-D) and 200 (2-D) points per height."""
@@ -55,6 +61,42 @@ def test_lattice_volume_is_that_of_the_closed_form(name: str, dimension: int):
     spacing = 0.3 / (60 if dimension == 3 else 200)
     count = (shape.level(lattice(shape.extent, spacing)) < 0.0).sum()
     assert math.isclose(count * spacing**dimension, shape.volume, rel_tol=0.02)
+
+
+@pytest.mark.parametrize("name", CREATURES)
+def test_creature_is_one_closed_piece_symmetric_in_its_middle_plane(name: str):
+    """One component on a lattice that reaches beyond the box, whose border is outside."""
+    for seed in range(2):
+        shape = draw_creature(name, size=0.5, generator=generator(seed))
+        spacing = 0.5 / 44
+        axes = [
+            (np.arange(count) - 0.5 * (count - 1)) * spacing
+            for count in (round(edge / spacing) + 4 for edge in shape.extent)
+        ]
+        grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+        inside = (shape.level(grid.reshape(-1, 3)) < 0.0).reshape(grid.shape[:3])
+        assert ndimage.label(inside)[1] == 1
+        core = inside[1:-1, 1:-1, 1:-1]
+        assert core.sum() == inside.sum()
+        assert np.array_equal(inside, inside[:, :, ::-1])
+
+
+def test_creatures_of_different_seeds_and_names_are_different_bodies():
+    """Volumes over the cube of the size differ by more than a lattice counts wrong."""
+    volumes = [
+        volume_of(draw_creature(name, size=1.0, generator=generator(seed)))
+        for name in ("quadruped", "rabbit")
+        for seed in (0, 2)
+    ]
+    assert min(abs(a - b) / a for a, b in combinations(volumes, 2)) > 0.02
+
+
+@pytest.mark.parametrize(("name", "dimension"), [("torus", 3), ("capsule", 3), ("disc", 2)])
+def test_counted_volume_is_that_of_the_closed_form(name: str, dimension: int):
+    """The lattice of ``volume_of`` is fine enough for 1 %."""
+    shape = drawn(name, dimension)
+    counted = volume_of(replace(shape, volume=None))
+    assert math.isclose(counted, volume_of(shape), rel_tol=0.01)
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 """Plain values become records, or the message says which value does not and why."""
 
+import copy
 from dataclasses import asdict, dataclass, field
 from typing import Literal
 
@@ -100,6 +101,23 @@ def test_each_wrong_value_is_named_with_its_place(values, message):
     with pytest.raises(ValueError, match=message) as caught:
         parse_record(Outer, values, where="run.yaml")
     assert "\n" not in str(caught.value)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Several:
+    """A record that holds a list of records."""
+
+    parts: list[Inner] = field(default_factory=list)
+
+
+def test_records_in_a_list_are_built_and_checked_and_the_values_stay_as_they_were():
+    """Equal to the record built by hand; a misspelling is named with its place in the list."""
+    values = {"parts": [{"radius": 1.0}, {"radius": 2.0}]}
+    kept = copy.deepcopy(values)
+    assert parse_record(Several, values, where="x").parts == [Inner(radius=1.0), Inner(radius=2.0)]
+    assert values == kept
+    with pytest.raises(ValueError, match=r"x\[parts\]\[1\]: Inner has no field 'raduis'"):
+        parse_record(Several, {"parts": [{"radius": 1.0}, {"raduis": 2.0}]}, where="x")
 
 
 def test_a_hint_names_the_nearest_word_and_all_known_ones():

@@ -79,17 +79,19 @@ def judge(
 
 
 def scene_with_points(config: SceneConfig, *, points: int | None, found: int) -> SceneConfig:
-    """The scene family with a spacing that gives about ``points`` particles.
+    """The scene family with a filling that gives about ``points`` particles.
 
     Args:
         config: The family.
-        points: Wanted number; none keeps the spacing.
-        found: Number that the spacing of ``config`` gives.
+        points: Wanted number; none keeps the filling.
+        found: Number that ``config`` gives.
     """
     if points is None:
         return config
     if points < 1:
         raise ValueError(f"the number of points must be >= 1, got {points}.")
+    if config.points is not None:
+        return replace(config, points=max(1, round(config.points * points / found)))
     factor = (found / points) ** (1.0 / config.dimension)
     return replace(config, spacing=config.spacing * factor)
 

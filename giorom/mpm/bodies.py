@@ -1,7 +1,7 @@
-"""Draw the bodies of a scene: shape, filling, place and motion of each.
+"""Draw the bodies of a scene: shape, filling, place, material and motion of each.
 
 ``draw_bodies`` is what ``scenes.py`` puts together into a ``Scene``. Shape, filling, place
-with motion, and number come from independent random streams of one seed, so that
+with motion, number and material come from independent random streams of one seed, so that
 another range of one does not change the others. Bodies lie inside the walls, and no two
 bounding boxes come nearer to each other than two particle spacings (about one grid cell).
 
@@ -19,7 +19,7 @@ from giorom.mpm.mesh import load_mesh_shape
 from giorom.mpm.motion import clamped_velocity, thrown_velocity
 from giorom.mpm.scene_config import SceneConfig
 from giorom.mpm.shape_library import SHAPES, Proportions, draw_shape
-from giorom.mpm.shapes import Shape, fill
+from giorom.mpm.shapes import Shape, fill, volume_of
 
 GAP = 2.0
 """Smallest distance between the bounding boxes of two bodies [spacing]."""
@@ -47,8 +47,14 @@ class Body:
     gradient: Float[np.ndarray, "d d"]
     """Velocity gradient of all of them [1/s]."""
 
+    spacing: float
+    """Distance of neighbouring particles [m]."""
+
     volume: float
     """Volume of each particle [m^d]."""
+
+    choice: int
+    """Number of its material: 0 is ``SceneConfig.material``, then the mixture in order."""
 
     kinematic: Bool[np.ndarray, " p"]
     """Which are held."""
@@ -66,6 +72,7 @@ class Body:
             "shape": self.shape.name,
             "shape_extent": list(self.shape.extent),
             "shape_parameters": self.shape.parameters,
+            "spacing": self.spacing,
             "initial_motion": self.motion,
         }
 
@@ -86,13 +93,14 @@ def draw_bodies(config: SceneConfig, *, seed: int, shape: str | None = None) -> 
         ValueError: If the shape is unknown or unusable, a body reaches beyond the walls, or
             finds no place apart from the others.
     """
-    shapes, fillings, motions, numbers = (
-        np.random.default_rng([seed, stream]) for stream in range(4)
+    shapes, fillings, motions, numbers, choices = (
+        np.random.default_rng([seed, stream]) for stream in range(5)
     )
     bodies: list[Body] = []
     for _ in range(int(numbers.integers(config.bodies[0], config.bodies[1] + 1))):
         body = _draw_shape(config, shape, shapes)
-        local, volume = fill(body, spacing=config.spacing, generator=fillings)
+        spacing = _spacing(config, body)
+        local, volume = fill(body, spacing=spacing, generator=fillings)
         center = _place(config, body, bodies, motions)
         start = _clamped if config.family == "clamped" else _thrown
         bodies.append(
@@ -100,7 +108,9 @@ def draw_bodies(config: SceneConfig, *, seed: int, shape: str | None = None) -> 
                 shape=body,
                 center=center,
                 position=local + center,
+                spacing=spacing,
                 volume=volume,
+                choice=int(choices.integers(1 + len(config.mixture))),
                 **start(config, body, local + center, motions),
             )
         )
@@ -112,13 +122,14 @@ def _clamped(
 ) -> dict[str, Any]:
     """Held part and motion of a body that stands on its clamp."""
     # At least one layer of particles is held, however flat the body is.
-    held = max(config.clamped_fraction * body.extent[1], config.spacing)
+    spacing = _spacing(config, body)
+    held = max(config.clamped_fraction * body.extent[1], spacing)
     clamp_plane = config.base_height + held
     kinematic = position[:, 1] <= clamp_plane
     if bool(kinematic.all()):
         raise ValueError(
             f"shape {body.name} is {body.extent[1]:.3g} m high and all of it is clamped at "
-            f"spacing {config.spacing:g} m. Lower SceneConfig.spacing or clamped_fraction."
+            f"spacing {spacing:g} m. Lower SceneConfig.spacing or clamped_fraction."
         )
     velocity, drawn = clamped_velocity(
         position,
@@ -169,6 +180,13 @@ def _draw_shape(config: SceneConfig, shape: str | None, generator: np.random.Gen
     return draw_shape(name, wanted, generator=generator)
 
 
+def _spacing(config: SceneConfig, body: Shape) -> float:
+    """Distance of neighbouring particles in a body [m]."""
+    if config.points is None:
+        return config.spacing
+    return (volume_of(body) / config.points) ** (1.0 / config.dimension)
+
+
 def _place(
     config: SceneConfig, body: Shape, others: list[Body], generator: np.random.Generator
 ) -> np.ndarray:
@@ -176,7 +194,7 @@ def _place(
     for _ in range(TRIES):
         center = _center(config, body, generator)
         _require_inside(config, body, center)
-        if all(_apart(config, body, center, other) for other in others):
+        if all(_apart(body, center, other) for other in others):
             return center
     raise ValueError(
         f"body {len(others) + 1} of a scene, a {body.name} of "
@@ -185,10 +203,10 @@ def _place(
     )
 
 
-def _apart(config: SceneConfig, body: Shape, center: np.ndarray, other: Body) -> bool:
+def _apart(body: Shape, center: np.ndarray, other: Body) -> bool:
     """Whether two bounding boxes keep their distance along some axis."""
     reach = 0.5 * (np.array(body.extent) + np.array(other.shape.extent))
-    return bool((np.abs(center - other.center) >= reach + GAP * config.spacing).any())
+    return bool((np.abs(center - other.center) >= reach + GAP * other.spacing).any())
 
 
 def _center(config: SceneConfig, body: Shape, generator: np.random.Generator) -> np.ndarray:

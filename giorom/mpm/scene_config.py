@@ -7,8 +7,8 @@ Two families:
     A body stands upright on its clamp in still air (no gravity unless asked for). Its lowest
     part is kinematic; an initial velocity that vanishes at the clamp sets it swinging.
 ``thrown``
-    One or several bodies start at random places in the box, apart from each other, with random
-    velocities and spins, and fall.
+    One or several bodies, each of one of several materials, start at random places in the box,
+    apart from each other, with random velocities and spins, and fall.
 
 The domain is the unit box, axis 1 points up. SI units.
 """
@@ -19,6 +19,7 @@ from typing import Literal
 from giorom.mpm.materials import make_material
 from giorom.mpm.motion import IMPULSES
 from giorom.mpm.shape_library import SHAPES, require_shape
+from giorom.state import KINEMATIC, PARTICLE_TYPE_COUNT
 
 MOST_BODIES = 64
 """Most bodies of one scene; more do not fit apart into the box."""
@@ -29,6 +30,54 @@ GRAVITY = 9.8
 
 WallContact = Literal["slip", "stick"]
 """Friction of the walls: none, or without limit."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MaterialChoice:
+    """A further material a body may be made of."""
+
+    material: str
+    """Name of a material, see ``giorom.mpm.materials.MATERIALS``."""
+
+    material_parameters: dict[str, float]
+    """Parameters of the material, SI."""
+
+    particle_type: int | None = None
+    """Particle type that the model sees; null: the one of the material."""
+
+    def __post_init__(self) -> None:
+        """Reject what is no material, and types no embedding has."""
+        make_material(self.material, self.material_parameters)
+        if self.particle_type is not None and (
+            self.particle_type == KINEMATIC or not 0 <= self.particle_type < PARTICLE_TYPE_COUNT
+        ):
+            raise ValueError(
+                f"MaterialChoice.particle_type must be 0 to {PARTICLE_TYPE_COUNT - 1} and not "
+                f"{KINEMATIC} (held particles), got {self.particle_type!r}."
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class SwitchChoice:
+    """A change of the first material during the run, as when a body melts."""
+
+    frame: int
+    """Stored frame from which the new material holds; 0 is the initial one."""
+
+    material: str
+    """Name of the new material."""
+
+    material_parameters: dict[str, float]
+    """Its parameters, SI."""
+
+    def __post_init__(self) -> None:
+        """Reject what is no material and no frame of a run."""
+        make_material(self.material, self.material_parameters)
+        if self.frame < 1:
+            raise ValueError(
+                f"SwitchChoice.frame must be at least 1 (before that the body simply is of the "
+                f"new material), got {self.frame!r}."
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,10 +103,14 @@ class SceneConfig:
     """Shapes kept for testing: never drawn, only on request."""
 
     height_range: list[float]
-    """Smallest and largest height of the body [m]; of a mesh, its longest edge."""
+    """Smallest and largest height of the body [m]; of a mesh or creature, its longest edge."""
 
-    spacing: float
-    """Distance of neighbouring particles [m]; about half a grid cell."""
+    spacing: float | None = None
+    """Distance of neighbouring particles [m], about half a grid cell; exactly one of ``spacing``
+    and ``points`` is set."""
+
+    points: int | None = None
+    """Particles of each body, about: the spacing follows from its volume."""
 
     speed_range: list[float]
     """Range of the initial speed [m/s]; clamped: of the fastest particle."""
@@ -92,6 +145,12 @@ class SceneConfig:
     bodies: list[int] = field(default_factory=lambda: [1, 1])
     """Fewest and most bodies of a thrown scene; no two bounding boxes come nearer than a cell."""
 
+    mixture: list[MaterialChoice] = field(default_factory=list)
+    """Further materials of a thrown scene; each body is of one of them or of ``material``."""
+
+    switch: SwitchChoice | None = None
+    """Change of ``material`` during the run; null: none."""
+
     def __post_init__(self) -> None:
         """Reject what no scene can be drawn from."""
         if self.dimension not in (2, 3):
@@ -108,8 +167,7 @@ class SceneConfig:
         self._check_shapes()
         for name in ("height_range", "slenderness", "speed_range", "spin_range"):
             self._check_range(name, getattr(self, name))
-        if not 0.0 < self.spacing < float("inf"):
-            raise ValueError(f"SceneConfig.spacing must be > 0 m, got {self.spacing!r}.")
+        self._check_filling()
         if not 0.0 <= self.gravity < float("inf"):
             raise ValueError(
                 f"SceneConfig.gravity points down and must be >= 0 m/s^2, got {self.gravity!r}."
@@ -131,6 +189,17 @@ class SceneConfig:
             )
         self._check_placement()
         self._check_bodies()
+
+    def _check_filling(self) -> None:
+        if (self.spacing is None) == (self.points is None):
+            raise ValueError(
+                f"SceneConfig needs exactly one of spacing and points, got spacing="
+                f"{self.spacing!r} and points={self.points!r}."
+            )
+        if self.spacing is not None and not 0.0 < self.spacing < float("inf"):
+            raise ValueError(f"SceneConfig.spacing must be > 0 m, got {self.spacing!r}.")
+        if self.points is not None and self.points < 1:
+            raise ValueError(f"SceneConfig.points must be >= 1, got {self.points!r}.")
 
     def _check_shapes(self) -> None:
         if not self.shapes:
@@ -171,10 +240,10 @@ class SceneConfig:
                 f"SceneConfig.bodies must be [fewest, most] with 1 <= fewest <= most <= "
                 f"{MOST_BODIES}, got {self.bodies!r}."
             )
-        if self.family == "clamped" and self.bodies != [1, 1]:
+        if self.family == "clamped" and (self.bodies != [1, 1] or self.mixture):
             raise ValueError(
-                "a clamped scene has one body; SceneConfig.bodies is for thrown ones. Set "
-                "family: thrown, or remove it."
+                "a clamped scene has one body of one material; SceneConfig.bodies and mixture "
+                "are for thrown ones. Set family: thrown, or remove them."
             )
 
 

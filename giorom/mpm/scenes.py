@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 
 from giorom.mpm.bodies import Body, draw_bodies
-from giorom.mpm.materials import make_material
-from giorom.mpm.scene import Scene
+from giorom.mpm.materials import Material, make_material
+from giorom.mpm.scene import MaterialSwitch, Scene
 from giorom.mpm.scene_config import SceneConfig
 from giorom.state import KINEMATIC
 
@@ -34,24 +34,49 @@ def draw_scene(config: SceneConfig, *, seed: int, shape: str | None = None) -> S
             finds no place apart from the others.
     """
     bodies = draw_bodies(config, seed=seed, shape=shape)
-    material = make_material(config.material, config.material_parameters)
-    held = np.concatenate([body.kinematic for body in bodies])
-    counts = [len(body.position) for body in bodies]
+    counts = torch.tensor([len(body.position) for body in bodies])
+    held = torch.from_numpy(np.concatenate([body.kinematic for body in bodies]))
+    choices = _choices(config)
+    used = sorted({body.choice for body in bodies})
+    types = torch.tensor([choices[body.choice][1] for body in bodies]).repeat_interleave(counts)
     gradients = torch.tensor(np.array([body.gradient for body in bodies])).float()
     return Scene(
         position=_joined([body.position for body in bodies]),
         velocity=_joined([body.velocity for body in bodies]),
-        affine_velocity=gradients.repeat_interleave(torch.tensor(counts), dim=0),
+        affine_velocity=gradients.repeat_interleave(counts, dim=0),
         volume=_joined([np.full(len(body.position), body.volume) for body in bodies]),
-        particle_type=torch.from_numpy(np.where(held, KINEMATIC, material.particle_type)),
-        materials=(material,),
-        material_index=torch.zeros(len(held), dtype=torch.long),
+        particle_type=torch.where(held, KINEMATIC, types),
+        materials=tuple(choices[choice][0] for choice in used),
+        material_index=torch.tensor([used.index(body.choice) for body in bodies]).repeat_interleave(
+            counts
+        ),
         bounds=torch.tensor([[config.wall, 1.0 - config.wall]] * config.dimension),
         wall_contact=config.wall_contact,
         gravity=config.gravity,
         clamp_plane=bodies[0].clamp_plane,
+        switch=_switch(config) if used[0] == 0 else None,
         attributes=_attributes(config, bodies, seed),
     )
+
+
+def _choices(config: SceneConfig) -> list[tuple[Material, int]]:
+    """Every material a body may be of, with its particle type."""
+    first = make_material(config.material, config.material_parameters)
+    choices = [(first, first.particle_type)]
+    for choice in config.mixture:
+        material = make_material(choice.material, choice.material_parameters)
+        kind = choice.particle_type
+        choices.append((material, material.particle_type if kind is None else kind))
+    return choices
+
+
+def _switch(config: SceneConfig) -> MaterialSwitch | None:
+    """What the first material becomes, if it does."""
+    change = config.switch
+    if change is None:
+        return None
+    material = make_material(change.material, change.material_parameters)
+    return MaterialSwitch(frame=change.frame, material_index=0, material=material)
 
 
 def _joined(parts: list[np.ndarray]) -> Tensor:
@@ -63,14 +88,17 @@ def _attributes(config: SceneConfig, bodies: list[Body], seed: int) -> dict[str,
     shared = {
         "family": config.family,
         "seed": seed,
-        "spacing": config.spacing,
         "gravity": config.gravity,
         "wall_contact": config.wall_contact,
         "clamp_plane": bodies[0].clamp_plane,
     }
     if len(bodies) == 1:
         return shared | bodies[0].attributes
+    names = [config.material, *(choice.material for choice in config.mixture)]
     return shared | {
         "shape": "+".join(body.shape.name for body in bodies),
-        "bodies": [body.attributes for body in bodies],
+        "bodies": [
+            body.attributes | {"material": names[body.choice], "points": len(body.position)}
+            for body in bodies
+        ],
     }

@@ -1,7 +1,8 @@
 """Procedural shapes by name, each with a random draw of its proportions.
 
-``draw_shape`` gives a body of a stated height; its proportions come from a generator, so a
-seed makes a shape. Bodies made to stand are cut flat at the base. Metres; NumPy only.
+``draw_shape`` gives a body of a stated height (a creature of ``creatures.py``: of a stated longest
+edge); its proportions come from a generator, so a seed makes a shape. Bodies made to stand are cut
+flat at the base. Metres; NumPy only.
 """
 
 import math
@@ -10,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from giorom.mpm.creatures import CREATURES, draw_creature
 from giorom.mpm.shapes import (
     Shape,
     box_distance,
@@ -33,7 +35,7 @@ class Proportions:
     """What the drawn proportions of a body must satisfy."""
 
     height: float
-    """Edge of the bounding box along axis 1 [m]."""
+    """Edge of the bounding box along axis 1; of a creature, the longest edge [m]."""
 
     dimension: int
     """2 or 3."""
@@ -172,7 +174,7 @@ def _melted(name: str, centers: np.ndarray, radii: np.ndarray, height: float) ->
     blend = 0.12
     reach = np.abs(centers).max(axis=0) + radii.max() + blend * math.log(len(radii))
     melted = smooth_union_level(centers, radii, blend=blend)
-    level, edges = recentred(melted, reach, height=height / (1.0 - BASE_CUT))
+    level, edges = recentred(melted, reach, size=height / (1.0 - BASE_CUT))
     level, kept = cut_base(level, edges, BASE_CUT)
     return Shape(
         name=name,
@@ -184,6 +186,36 @@ def _melted(name: str, centers: np.ndarray, radii: np.ndarray, height: float) ->
             "blend": blend,
             "base_cut": BASE_CUT,
         },
+    )
+
+
+def _creature(name: str) -> "Maker":
+    def draw(generator: np.random.Generator, wanted: Proportions) -> Shape:
+        return draw_creature(name, size=wanted.height, generator=generator)
+
+    return draw
+
+
+def _pebble(generator: np.random.Generator, wanted: Proportions) -> Shape:
+    """A smooth closed curve about a centre, its radius a few random waves of the angle."""
+    waves = np.arange(2, 6)
+    amplitude = generator.uniform(-0.25, 0.25, len(waves)) / (waves - 1.0)
+    phase = generator.uniform(0.0, 2.0 * math.pi, len(waves))
+    stretch = np.array([float(generator.uniform(*wanted.slenderness)), 1.0])
+
+    def level(points: np.ndarray) -> np.ndarray:
+        across, up = (points / stretch).T
+        angle = np.arctan2(up, across)[:, None]
+        radius = 1.0 + (amplitude * np.cos(waves * angle + phase)).sum(axis=1)
+        return np.hypot(across, up) - radius
+
+    reach = (1.0 + np.abs(amplitude).sum()) * stretch
+    scaled, edges = recentred(level, reach, size=wanted.height)
+    return Shape(
+        name="pebble",
+        level=scaled,
+        extent=tuple(edges.tolist()),
+        parameters={"amplitude": amplitude.tolist(), "phase": phase.tolist()},
     )
 
 
@@ -201,7 +233,8 @@ SHAPES: dict[str, tuple[Maker, tuple[int, ...]]] = {
     "torus": (_torus, (3,)),
     "stack": (_stack, (2, 3)),
     "blob": (_blob, (2, 3)),
-}
+    "pebble": (_pebble, (2,)),
+} | {name: (_creature(name), (3,)) for name in CREATURES}
 """Every procedural shape: how it is drawn, and the dimensions it exists in."""
 
 

@@ -109,13 +109,19 @@ def torus_distance(ring: float, tube: float) -> Level:
     return level
 
 
+def smooth_minimum(levels: np.ndarray, blend: float) -> np.ndarray:
+    """Least of the last axis, rounded: ``-blend log sum exp(-level / blend)``."""
+    nearest = levels.min(axis=1)
+    return nearest - blend * np.log(np.exp((nearest[:, None] - levels) / blend).sum(axis=1))
+
+
 def smooth_union_level(centers: np.ndarray, radii: np.ndarray, *, blend: float) -> Level:
-    """Spheres melted into one: ``-blend log sum exp(-distance / blend)``."""
+    """Spheres melted into one."""
 
     def level(points: np.ndarray) -> np.ndarray:
-        apart = np.linalg.norm(points[:, None] - centers[None], axis=2) - radii
-        nearest = apart.min(axis=1)
-        return nearest - blend * np.log(np.exp((nearest[:, None] - apart) / blend).sum(axis=1))
+        return smooth_minimum(
+            np.linalg.norm(points[:, None] - centers[None], axis=2) - radii, blend
+        )
 
     return level
 
@@ -142,13 +148,16 @@ def cut_base(level: Level, extent: np.ndarray, fraction: float) -> tuple[Level, 
     return cut, kept
 
 
-def recentred(level: Level, reach: np.ndarray, *, height: float) -> tuple[Level, np.ndarray]:
-    """Find the bounding box of a level function by sampling, and scale it to a height.
+def recentred(
+    level: Level, reach: np.ndarray, *, size: float, axis: int | None = 1
+) -> tuple[Level, np.ndarray]:
+    """Find the bounding box of a level function by sampling, and scale it to a size.
 
     Args:
         level: Level function that is positive outside ``[-reach, reach]``.
         reach: Half edges of the sampled box.
-        height: Wanted edge along axis 1 [m].
+        size: Wanted length of one edge [m].
+        axis: Which edge; None: the longest.
 
     Returns:
         The level function of the scaled, centred body and its edges [m].
@@ -158,12 +167,14 @@ def recentred(level: Level, reach: np.ndarray, *, height: float) -> tuple[Level,
     filled = grid[level(grid) < 0.0]
     step = 2.0 * reach / (len(axes[0]) - 1)
     lower, upper = filled.min(axis=0) - 0.5 * step, filled.max(axis=0) + 0.5 * step
-    center, scale = 0.5 * (lower + upper), height / (upper - lower)[1]
+    edges = upper - lower
+    center = 0.5 * (lower + upper)
+    scale = size / (edges.max() if axis is None else edges[axis])
 
     def scaled(points: np.ndarray) -> np.ndarray:
         return scale * level(points / scale + center)
 
-    return scaled, scale * (upper - lower)
+    return scaled, scale * edges
 
 
 def lattice(extent: tuple[float, ...], spacing: float) -> np.ndarray:
@@ -191,6 +202,15 @@ def lattice(extent: tuple[float, ...], spacing: float) -> np.ndarray:
     counts = [max(1, round(edge / spacing)) for edge in extent]
     axes = [(np.arange(count) - 0.5 * (count - 1)) * spacing for count in counts]
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(extent))
+
+
+def volume_of(shape: Shape) -> float:
+    """Volume of a shape (area in 2-D), from its closed form or counted on a lattice [m^d]."""
+    if shape.volume is not None:
+        return shape.volume
+    spacing = max(shape.extent) / (60 if shape.dimension == 3 else 400)
+    inside = int((shape.level(lattice(shape.extent, spacing)) < 0.0).sum())
+    return inside * spacing**shape.dimension
 
 
 def fill(
