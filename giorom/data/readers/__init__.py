@@ -2,11 +2,16 @@
 
 from pathlib import Path
 
+from giorom.data.readers.arrays import from_arrays
+from giorom.data.readers.crom import CROM
+from giorom.data.readers.obj import OBJ
+from giorom.data.readers.ply import PLY
 from giorom.data.readers.source import DataError, ForeignTrajectory, Reader
+from giorom.data.readers.vtk_files import VTK
 
-__all__ = ["READERS", "DataError", "ForeignTrajectory", "Reader", "detect_format"]
+__all__ = ["READERS", "DataError", "ForeignTrajectory", "Reader", "detect_format", "from_arrays"]
 
-READERS: tuple[Reader, ...] = ()
+READERS: tuple[Reader, ...] = (CROM, VTK, PLY, OBJ)
 """Every reader, the most particular format first."""
 
 
