@@ -84,7 +84,9 @@ def check_motion_output(out: Path) -> Path:
 def _run_dataset(arguments: argparse.Namespace) -> dict[str, Any]:
     """Write a whole data set."""
     single = ("trajectory", "split", "stride", "frame_dt")
-    given = [f"--{name.replace('_', '-')}" for name in single if getattr(arguments, name)]
+    given = [
+        f"--{name.replace('_', '-')}" for name in single if getattr(arguments, name) is not None
+    ]
     if given:
         raise ValueError(
             f"{given[0]} chooses from a single motion, but --layout writes the whole data set. "
@@ -110,10 +112,10 @@ def _run_dataset(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def _check_apart(source: Path, written: Path) -> None:
-    """Refuse to write over what is read, or into it."""
+    """Refuse to write over what is read or a part of it."""
     read, write = source.resolve(), written.resolve()
-    if read == write or write in read.parents or (source.is_dir() and read in write.parents):
+    if read == write or write in read.parents or (read in write.parents and written.exists()):
         raise ValueError(
-            f"{written} is or holds what is read, {source}, or lies in it. Choose another place "
-            f"for the result."
+            f"{written} is, holds or is part of what is read, {source}. Choose another place for "
+            f"the result."
         )

@@ -68,10 +68,8 @@ def export_dataset(
             if motions:
                 notes[name] = write(temporary, name, motions)
             report()
-        extra = _lagrangebench_keys(splits, metadata) if layout == "lagrangebench" else {}
-        first = next(motion for motions in splits.values() for motion in motions)
-        dt = {} if layout == "lagrangebench" else {"dt": first.frame_dt}
-        write_json(temporary / "metadata.json", metadata | dt | extra)
+        keys = _gns_keys(splits) if layout == "gns" else _lagrangebench_keys(splits, metadata)
+        write_json(temporary / "metadata.json", metadata | keys)
         files = sorted(path.name for path in temporary.iterdir())
     result: dict[str, Any] = {
         "trajectories": {name: len(motions) for name, motions in splits.items()},
@@ -130,6 +128,12 @@ def _copy_trajectory(group: Any, motion: StoredTrajectory, count: int) -> None:
             block = []
     types = np.where(kinematic, MOVING_WALL if moves else WALL_AT_REST, motion.particle_type)
     group["particle_type"] = types.astype(np.int32)
+
+
+def _gns_keys(splits: dict[str, list[StoredTrajectory]]) -> dict[str, Any]:
+    """Metadata of GNS: the real frame time, and steps that every trajectory has."""
+    motions = [motion for group in splits.values() for motion in group]
+    return {"dt": motions[0].frame_dt, "sequence_length": _shortest(motions) - 1}
 
 
 def _lagrangebench_keys(

@@ -22,7 +22,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any
 
 import numpy as np
 from jaxtyping import Int
@@ -130,7 +130,7 @@ def write_gns_file(path: Path, motions: Sequence[StoredMotion]) -> bool:
     return False
 
 
-def _write_records(member: BinaryIO, motions: Sequence[StoredMotion]) -> None:
+def _write_records(member: Any, motions: Sequence[StoredMotion]) -> None:
     """Write motions of one shape as an array of records, frame by frame."""
     description = {
         "descr": motions[0].record,

@@ -106,12 +106,12 @@ class MotionWriter(ABC):
         self.header = header
         self.frame_count = 0
 
-    def append(self, position: Float[Tensor, "p d"], **fields: Float[Tensor, " p"]) -> None:
+    def append(self, position: Float[Tensor, "p d"], **fields: Tensor) -> None:
         """Add a frame.
 
         Args:
             position: Positions of all particles [m]; rounded to float32.
-            fields: The numbers that the header announces, by name.
+            fields: The numbers that the header announces, by name, shape (p).
 
         Raises:
             ValueError: If the shape is not the header's, a field is missing or unknown, or a
@@ -129,6 +129,13 @@ class MotionWriter(ABC):
                 f"frame {self.frame_count} brings the fields {sorted(fields)}; the header "
                 f"announces {sorted(header.fields)}."
             )
+        for name, values in fields.items():
+            if tuple(values.shape) != shape[:1]:
+                raise ValueError(
+                    f"field {name!r} of frame {self.frame_count} has the shape "
+                    f"{tuple(values.shape)}; it must have one number for each of the {shape[0]} "
+                    f"particles."
+                )
         kept = {name: _single(values) for name, values in fields.items()}
         stored = _single(position)
         if not bool(torch.isfinite(stored).all()):
