@@ -10,7 +10,7 @@ import torch
 
 from giorom.data.readers import DataError, detect_format
 from giorom.data.readers.ply import PLY, read_ply_frame
-from giorom.export import write_ply
+from giorom.export import write_trajectory
 from giorom.state import Trajectory
 
 
@@ -90,7 +90,7 @@ def test_text_with_elements_before_the_vertices_is_read(tmp_path):
 
 
 def test_our_own_sequence_comes_back(tmp_path):
-    """The inverse of ``write_ply``, for a motion in the plane and one in space."""
+    """The inverse of ``write_trajectory``, for a motion in the plane and one in space."""
     for dimension in (2, 3):
         motion = Trajectory(
             position=torch.rand(12, 30, dimension, generator=torch.Generator().manual_seed(0)),
@@ -98,7 +98,7 @@ def test_our_own_sequence_comes_back(tmp_path):
             frame_dt=0.05,
             bounds=torch.tensor([[0.0, 1.0]] * dimension),
         )
-        folder = write_ply(motion, tmp_path / f"motion{dimension}.ply")
+        folder = write_trajectory(motion, tmp_path / f"motion{dimension}.ply")
         (trajectory,) = detect_format(folder).read(folder)
         np.testing.assert_array_equal(list(trajectory.frames()), motion.position.numpy())
         np.testing.assert_array_equal(trajectory.particle_type, motion.particle_type.numpy())

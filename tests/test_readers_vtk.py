@@ -12,7 +12,7 @@ import torch
 from giorom.data.readers import DataError, detect_format
 from giorom.data.readers.vtk_arrays import unpacked_limit
 from giorom.data.readers.vtk_files import VTK, read_vtk_frame
-from giorom.export import write_vtkhdf
+from giorom.export import write_trajectory
 from giorom.state import Trajectory
 
 pv = pytest.importorskip("pyvista")
@@ -151,7 +151,7 @@ def test_times_in_the_files_give_the_time_between_frames(tmp_path):
 
 
 def test_our_own_animation_comes_back(tmp_path):
-    """The inverse of ``write_vtkhdf``; a 2-D motion lies in z = 0 and is 2-D again."""
+    """The inverse of ``write_trajectory``; a 2-D motion lies in z = 0 and is 2-D again."""
     for dimension in (2, 3):
         motion = Trajectory(
             position=torch.rand(4, 30, dimension, generator=torch.Generator().manual_seed(0)),
@@ -159,7 +159,7 @@ def test_our_own_animation_comes_back(tmp_path):
             frame_dt=0.05,
             bounds=torch.tensor([[0.0, 1.0]] * dimension),
         )
-        path = write_vtkhdf(motion, tmp_path / f"{dimension}.vtkhdf")
+        path = write_trajectory(motion, tmp_path / f"{dimension}.vtkhdf")
         (trajectory,) = detect_format(path).read(path)
         np.testing.assert_array_equal(list(trajectory.frames()), motion.position.numpy())
         np.testing.assert_array_equal(trajectory.particle_type, motion.particle_type.numpy())
@@ -391,7 +391,7 @@ def test_a_temporal_file_that_points_elsewhere_is_refused(tmp_path):
         root.create_dataset("Points", (10**9, 3), "f8", chunks=(1000, 3))
 
     for damage, word in ((offset, "rows"), (link, "link"), (huge, "proportion")):
-        path = write_vtkhdf(motion, tmp_path / "a.vtkhdf")
+        path = write_trajectory(motion, tmp_path / "a.vtkhdf")
         with h5py.File(path, "r+") as file:
             damage(file["VTKHDF"])
         with pytest.raises(DataError, match=word):
