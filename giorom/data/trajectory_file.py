@@ -14,6 +14,7 @@ of the HDF5 library never leaves this module. Positions are metres and are store
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +47,17 @@ ATTRIBUTE_BYTES = 60_000
 """Most bytes of JSON per trajectory; HDF5 stores an attribute in one 64 KiB header."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class GroupHeader:
+    """One trajectory of an open file: ``position`` is the HDF5 data set, unread."""
+
+    position: Any
+    particle_type: np.ndarray
+    frame_dt: float
+    bounds: np.ndarray
+    attributes: dict[str, Any]
+
+
 def write_trajectory_file(trajectory: Trajectory, path: Path) -> None:
     """Write one trajectory to its own file, atomically.
 
@@ -73,13 +85,13 @@ def read_trajectory_file(path: Path) -> Trajectory:
         DataError: If the file is missing, damaged, foreign or holds several trajectories.
     """
     with opened(path) as file:
-        names = group_names(file)
+        names = trajectory_names(file)
         if names != ["00000"]:
             raise DataError(
                 f"{path} holds {len(names)} trajectories, but one is needed here. "
                 f"Choose one with read_trajectory(folder, split, index)."
             )
-        return read_group(file, "00000", path=path, metadata=None, frames=slice(None))
+        return _read_group(file, "00000", path=path, metadata=None, frames=slice(None))
 
 
 def read_trajectory(
@@ -102,13 +114,13 @@ def read_trajectory(
     metadata = read_metadata(folder)
     path = split_path(folder, split)
     with opened(path) as file:
-        count = len(group_names(file))
+        count = len(trajectory_names(file))
         if not 0 <= index < count:
             raise DataError(
                 f"{path} has no trajectory {index}; it holds {count}, numbered from 0. "
                 f"Ask for a number below {count}."
             )
-        return read_group(file, f"{index:05d}", path=path, metadata=metadata, frames=frames)
+        return _read_group(file, f"{index:05d}", path=path, metadata=metadata, frames=frames)
 
 
 def iterate_trajectories(folder: Path, split: str) -> Iterator[Trajectory]:
@@ -143,7 +155,7 @@ def trajectory_count(folder: Path, split: str) -> int:
     """
     read_metadata(folder)
     with opened(split_path(folder, split)) as file:
-        return len(group_names(file))
+        return len(trajectory_names(file))
 
 
 def split_path(folder: Path, split: str) -> Path:
@@ -229,15 +241,8 @@ def _check_header(file: Any, path: Path) -> None:
         raise DataError(f"{path} was not written to its end. Remove it and make it again.")
 
 
-def group_names(file: Any) -> list[str]:
-    """Names of the trajectories of an open file; a split of ours may be empty.
-
-    Args:
-        file: The open ``h5py.File``.
-
-    Raises:
-        DataError: If they are not 00000, 00001, ...
-    """
+def trajectory_names(file: Any) -> list[str]:
+    """Names of the trajectories, checked to be 00000, 00001, ...; a split of ours may be empty."""
     names = sorted(file.keys())
     expected = [f"{index:05d}" for index in range(len(names))]
     ours = "giorom_format_version" in file.attrs
@@ -291,24 +296,27 @@ def attributes_text(attributes: dict[str, Any]) -> str:
     return text
 
 
-def read_group(
+def _read_group(
     file: Any, name: str, *, path: Path, metadata: dict[str, Any] | None, frames: slice
 ) -> Trajectory:
-    """Read and check one trajectory of an open file.
+    """Read and check one trajectory of an open file."""
+    header = group_header(file, name, path=path, metadata=metadata)
+    try:
+        return Trajectory(
+            position=torch.from_numpy(header.position[frames]),
+            particle_type=torch.from_numpy(header.particle_type),
+            frame_dt=header.frame_dt,
+            bounds=torch.from_numpy(header.bounds.astype(np.float32)),
+            attributes=header.attributes,
+        )
+    except ValueError as error:
+        raise DataError(f"{path}[{name}]: {error}") from None
 
-    Args:
-        file: The open ``h5py.File``.
-        name: Name of its group.
-        path: Path of the file, for messages.
-        metadata: Metadata of its data set, which fill in what the group does not say.
-        frames: Which frames.
 
-    Returns:
-        The trajectory, positions in float32.
-
-    Raises:
-        DataError: If the group is no trajectory.
-    """
+def group_header(
+    file: Any, name: str, *, path: Path, metadata: dict[str, Any] | None
+) -> GroupHeader:
+    """Check one trajectory of an open file and say what it is, its positions unread."""
     position, particle_type = _checked_arrays(file[name], f"{path}[{name}]")
     if metadata is not None and position.shape[2] != metadata["dim"]:
         raise DataError(
@@ -320,16 +328,13 @@ def read_group(
         raise DataError(
             f"{path}[{name}] has bounds of shape {bounds.shape}, which must be (dim, 2)."
         )
-    try:
-        return Trajectory(
-            position=torch.from_numpy(position[frames]),
-            particle_type=torch.from_numpy(particle_type[:].astype(np.int64)),
-            frame_dt=frame_dt,
-            bounds=torch.from_numpy(bounds.astype(np.float32)),
-            attributes=attributes,
-        )
-    except ValueError as error:
-        raise DataError(f"{path}[{name}]: {error}") from None
+    return GroupHeader(
+        position=position,
+        particle_type=particle_type[:].astype(np.int64),
+        frame_dt=frame_dt,
+        bounds=bounds,
+        attributes=attributes,
+    )
 
 
 def _checked_arrays(group: Any, where: str) -> tuple[Any, Any]:

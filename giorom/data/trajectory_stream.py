@@ -16,10 +16,10 @@ from jaxtyping import Float, Int
 from giorom.data.metadata import DataError, read_metadata
 from giorom.data.trajectory_file import (
     CHUNK_BYTES,
-    group_names,
+    group_header,
     opened,
-    read_group,
     split_path,
+    trajectory_names,
 )
 
 __all__ = ["StoredTrajectory", "find_stored", "is_trajectory_file", "stored_trajectories"]
@@ -108,7 +108,7 @@ def find_stored(path: Path, *, split: str, index: int) -> StoredTrajectory:
         beside = path.parent / "metadata.json"
         metadata = read_metadata(path.parent) if beside.is_file() else None
     with opened(path) as file:
-        names = group_names(file)
+        names = trajectory_names(file)
         if not 0 <= index < len(names):
             raise DataError(
                 f"{path} has no trajectory {index}; it holds {len(names)}, numbered from 0. "
@@ -131,21 +131,21 @@ def stored_trajectories(folder: Path, split: str) -> list[StoredTrajectory]:
     if not path.exists():
         return []
     with opened(path) as file:
-        names = group_names(file)
+        names = trajectory_names(file)
         return [_stored(file, name, path=path, metadata=metadata) for name in names]
 
 
 def _stored(
     file: Any, name: str, *, path: Path, metadata: dict[str, Any] | None
 ) -> StoredTrajectory:
-    """Check a trajectory by its first frame."""
-    first = read_group(file, name, path=path, metadata=metadata, frames=slice(0, 1))
+    """Check a trajectory without reading its positions."""
+    header = group_header(file, name, path=path, metadata=metadata)
     return StoredTrajectory(
         path=path,
         name=name,
-        particle_type=first.particle_type.numpy(),
-        frame_count=int(file[name]["position"].shape[0]),
-        frame_dt=first.frame_dt,
-        bounds=first.bounds.numpy(),
-        attributes=first.attributes,
+        particle_type=header.particle_type,
+        frame_count=int(header.position.shape[0]),
+        frame_dt=header.frame_dt,
+        bounds=header.bounds.astype(np.float32),
+        attributes=header.attributes,
     )
