@@ -4,6 +4,11 @@ from pathlib import Path
 
 from giorom.data.readers.arrays import from_arrays
 from giorom.data.readers.crom import CROM
+from giorom.data.readers.gns_npz import GNS_NPZ
+from giorom.data.readers.gns_tfrecord import GNS_TFRECORD
+from giorom.data.readers.lagrangebench import LAGRANGEBENCH
+from giorom.data.readers.mpm_verse import MPM_VERSE
+from giorom.data.readers.nclaw import NCLAW
 from giorom.data.readers.obj import OBJ
 from giorom.data.readers.ply import PLY
 from giorom.data.readers.source import DataError, ForeignTrajectory, Reader
@@ -11,7 +16,17 @@ from giorom.data.readers.vtk_files import VTK
 
 __all__ = ["READERS", "DataError", "ForeignTrajectory", "Reader", "detect_format", "from_arrays"]
 
-READERS: tuple[Reader, ...] = (CROM, VTK, PLY, OBJ)
+READERS: tuple[Reader, ...] = (
+    GNS_TFRECORD,
+    MPM_VERSE,
+    GNS_NPZ,
+    NCLAW,
+    CROM,
+    LAGRANGEBENCH,
+    VTK,
+    PLY,
+    OBJ,
+)
 """Every reader, the most particular format first."""
 
 

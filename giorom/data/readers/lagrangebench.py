@@ -1,0 +1,297 @@
+"""Read LagrangeBench data sets, ours, and the simulations of NeuralMPM: HDF5 files.
+
+LagrangeBench: groups ``00000``, ``00001`` ... with ``position`` (frames, particles, axes) and
+``particle_type``; the time between frames is ``dt`` times ``write_every`` of ``metadata.json``.
+Our own data sets have the same layout and say frame time and walls as attributes of each group.
+NeuralMPM: one file per simulation with ``particles`` (frames, particles, positions and velocities)
+and ``boundary`` likewise, whose particles are taken as kinematic.
+
+Frames are read in the blocks in which HDF5 stores them. A block that would not fit into memory
+is refused before HDF5 allocates it.
+"""
+
+import math
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from giorom.data.metadata import DataError
+from giorom.data.readers.byte_source import first_line
+from giorom.data.readers.foreign_metadata import (
+    ForeignMetadata,
+    read_foreign_metadata,
+    split_of,
+)
+from giorom.data.readers.particle_arrays import WATER, check_frames, checked_types
+from giorom.data.readers.source import ForeignTrajectory, Reader
+
+__all__ = ["LAGRANGEBENCH"]
+
+BLOCK_BYTES = 32 << 20
+"""Memory for a block of frames."""
+
+MOST_CHUNK_BYTES = 512 << 20
+"""Largest compressed block HDF5 may have to hold."""
+
+MOST_RATIO = 1100
+"""Strongest compression that deflate is able to reach."""
+
+KINEMATIC = 3
+"""Type of boundary particles (GNS convention)."""
+
+SPLIT_ORDER = ("train", "valid", "test")
+
+HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
+
+HDF5_ERRORS = (OSError, KeyError, RuntimeError, ValueError, TypeError, OverflowError, MemoryError)
+"""What h5py raises on damaged files."""
+
+
+def read_lagrangebench(path: Path) -> Iterator[ForeignTrajectory]:
+    """The trajectories of an HDF5 file, or of all those in a folder.
+
+    Args:
+        path: The file or folder; ``metadata.json`` is looked for beside the files.
+
+    Yields:
+        The trajectories, in the order of the files.
+
+    Raises:
+        DataError: If a file is damaged or has another layout.
+    """
+    files = _files(path)
+    if not files:
+        raise DataError(f"{path} holds no .h5 file. Check the path.")
+    metadata = read_foreign_metadata(path if path.is_dir() else path.parent)
+    for file in files:
+        yield from _read_file(file, metadata)
+
+
+def is_lagrangebench(path: Path) -> bool:
+    """Whether an HDF5 file has the group 00000 or NeuralMPM's entries, or a folder has one.
+
+    Args:
+        path: The file or folder.
+
+    Returns:
+        Whether it has.
+    """
+    files = _files(path)
+    try:
+        if not files or not files[0].is_file():
+            return False
+        with files[0].open("rb") as file:
+            if file.read(8) != HDF5_MAGIC:
+                return False
+        with _opened(files[0]) as file:
+            return "00000/position" in file or "particles" in file
+    except (DataError, OSError):
+        return False
+
+
+def _files(path: Path) -> list[Path]:
+    """The files to read, training data first; NeuralMPM keeps them in a folder per split."""
+    if not path.is_dir():
+        return [path]
+    folders = [path, *(path / name for name in SPLIT_ORDER)]
+    found = [file for folder in folders for file in folder.glob("*.h5") if file.is_file()]
+    order = {name: place for place, name in enumerate(SPLIT_ORDER)}
+    return sorted(found, key=lambda file: (order.get(split_of(file) or "", 9), _natural(file)))
+
+
+def _natural(file: Path) -> list[tuple[int, str]]:
+    """Sort ``sim_10`` after ``sim_9``."""
+    parts = re.findall(r"[0-9]{1,18}|[^0-9]+", file.name)
+    return [(int(part), "") if part.isascii() and part.isdigit() else (-1, part) for part in parts]
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    """An open file; what the library raises becomes ``DataError``."""
+    import h5py
+
+    try:
+        with h5py.File(path, "r") as file:
+            yield file
+    except DataError:
+        raise
+    except HDF5_ERRORS as error:
+        raise DataError(
+            f"{path} is truncated, damaged or no HDF5 file ({first_line(error)}). Copy it again."
+        ) from None
+
+
+def _read_file(path: Path, metadata: ForeignMetadata) -> Iterator[ForeignTrajectory]:
+    with _opened(path) as file:
+        names = sorted(name for name in file if re.fullmatch(r"[0-9]{5,9}", name))
+        is_single = not names and "particles" in file
+        if not names and not is_single:
+            raise DataError(f"{path} has neither groups 00000, 00001 ... nor 'particles'.")
+    for name in names:
+        yield _trajectory(path, name, metadata)
+    if is_single:
+        yield _neural_mpm(path, metadata)
+
+
+def _trajectory(path: Path, name: str, metadata: ForeignMetadata) -> ForeignTrajectory:
+    """One group of a LagrangeBench file, or of ours."""
+    where = f"{path.name}[{name}]"
+    with _opened(path) as file:
+        position = _dataset(file, f"{name}/position", where)
+        frames, count, dimension = position.shape
+        check_frames(frames, count, dimension, where)
+        types = _types(file, f"{name}/particle_type", count, where)
+        frame_dt, bounds = _own_scene(file[name], dimension, where)
+    notes = metadata.notes if bounds is None else ()
+    known = bounds if bounds is not None else metadata.bounds
+    if known is not None and len(known) != dimension:
+        raise DataError(f"{where} is {dimension}-D, but metadata.json says {len(known)}-D.")
+    return ForeignTrajectory(
+        name=where,
+        particle_type=types,
+        frames=lambda: _frames(path, [f"{name}/position"], dimension, where),
+        frame_count=frames,
+        split=split_of(path),
+        frame_dt=frame_dt if frame_dt is not None else metadata.frame_dt,
+        bounds=known,
+        identity_kept=True,
+        notes=notes,
+    )
+
+
+def _neural_mpm(path: Path, metadata: ForeignMetadata) -> ForeignTrajectory:
+    """The simulation of a NeuralMPM file."""
+    where, keys = path.name, ["particles"]
+    with _opened(path) as file:
+        frames, count, channels = _dataset(file, "particles", where).shape
+        dimension = channels // 2 if channels in (4, 6) else channels
+        check_frames(frames, count, dimension, where)
+        types = np.full(count, WATER)
+        if "boundary" in file:
+            boundary = _dataset(file, "boundary", where)
+            if boundary.shape[0] != frames or boundary.shape[2] < dimension:
+                raise DataError(f"{where}: 'boundary' has shape {boundary.shape}, which is odd.")
+            if boundary.shape[1]:
+                keys.append("boundary")
+                check_frames(frames, boundary.shape[1], dimension, where)
+                types = np.concatenate([types, np.full(boundary.shape[1], KINEMATIC)])
+        left_out = sorted(str(key)[:40] for key in file if key not in ("particles", "boundary"))
+    notes = [*metadata.notes, "Left out: velocities.", "Boundary particles follow the others."]
+    if left_out:
+        notes.append(f"Left out: {', '.join(left_out[:20])}.")
+    return ForeignTrajectory(
+        name=where,
+        particle_type=checked_types(types, len(types), where),
+        frames=lambda: _frames(path, keys, dimension, where),
+        frame_count=frames,
+        split=split_of(path),
+        frame_dt=metadata.frame_dt,
+        bounds=metadata.bounds,
+        identity_kept=True,
+        notes=tuple(notes),
+    )
+
+
+def _dataset(file: Any, key: str, where: str) -> Any:
+    """A data set of three axes of floats, whose blocks fit into memory."""
+    import h5py
+
+    dataset = _linked_inside(file, key, where)
+    if not isinstance(dataset, h5py.Dataset) or dataset.ndim != 3 or dataset.dtype.kind != "f":
+        raise DataError(f"{where} has no floats {key!r} of shape (frames, particles, axes).")
+    if dataset.dtype.itemsize > 8:
+        raise DataError(f"{where} is stored in {dataset.dtype}; store float32 or float64.")
+    _check_storage(dataset, where)
+    return dataset
+
+
+def _linked_inside(file: Any, key: str, where: str) -> Any:
+    """An entry of the file; links to other files are not followed."""
+    import h5py
+
+    names = key.split("/")
+    for depth in range(1, len(names) + 1):
+        link = file.get("/".join(names[:depth]), getlink=True)
+        if isinstance(link, h5py.ExternalLink):
+            raise DataError(f"{where} is a link to another file. Copy the data into this one.")
+    return file.get(key)
+
+
+def _check_storage(dataset: Any, where: str) -> None:
+    """Reject outside files and blocks that would take the memory."""
+    if dataset.external or dataset.is_virtual:
+        raise DataError(f"{where} keeps its numbers in other files. Copy them into this one.")
+    stored = dataset.id.get_storage_size()
+    if dataset.nbytes > MOST_RATIO * stored:
+        raise DataError(
+            f"{where} announces {dataset.nbytes} bytes, but {stored} are stored. It is damaged."
+        )
+    chunk = math.prod(dataset.chunks or (1,)) * dataset.dtype.itemsize
+    if chunk > MOST_CHUNK_BYTES:
+        raise DataError(
+            f"{where} is stored in blocks of {chunk} bytes, more than {MOST_CHUNK_BYTES}. "
+            f"It is damaged, or must be stored in smaller chunks."
+        )
+
+
+def _types(file: Any, key: str, count: int, where: str) -> np.ndarray:
+    """Particle types."""
+    import h5py
+
+    dataset = _linked_inside(file, key, where)
+    if not isinstance(dataset, h5py.Dataset) or dataset.size not in (1, count):
+        raise DataError(f"{where} has no {key!r} with one integer for each of {count} particles.")
+    if dataset.dtype.kind not in "iu" or dataset.dtype.itemsize > 8:
+        raise DataError(f"{where} has particle types of type {dataset.dtype}, not integers.")
+    _check_storage(dataset, where)
+    return checked_types(np.asarray(dataset[()]), count, where)
+
+
+def _own_scene(group: Any, dimension: int, where: str) -> tuple[float | None, Any]:
+    """Frame time and walls of our own files, which stand in the attributes of a group."""
+    known = group.attrs
+    if "frame_dt" not in known or "bounds" not in known:
+        return None, None
+    frame_dt, bounds = np.asarray(known["frame_dt"]), np.asarray(known["bounds"])
+    fits = frame_dt.shape == () and bounds.shape == (dimension, 2)
+    if not fits or not {frame_dt.dtype.kind, bounds.dtype.kind} <= set("fiu"):
+        raise DataError(f"{where} has attributes frame_dt and bounds of an unknown form.")
+    return float(frame_dt), bounds.astype(np.float64)
+
+
+def _frames(
+    path: Path, keys: list[str], dimension: int, where: str
+) -> Iterator[Float[np.ndarray, "p d"]]:
+    """Positions of one frame after the other, the data sets side by side."""
+    with _opened(path) as file:
+        datasets = [_dataset(file, key, where) for key in keys]
+        frames = datasets[0].shape[0]
+        frame_bytes = max(1, sum(int(np.prod(d.shape[1:])) * d.dtype.itemsize for d in datasets))
+        block = max(1, BLOCK_BYTES // frame_bytes)
+        chunk = datasets[0].chunks[0] if datasets[0].chunks else 1
+        block = (
+            max(chunk, block - block % chunk) if chunk * frame_bytes <= 4 * BLOCK_BYTES else block
+        )
+        for first in range(0, frames, block):
+            parts = [dataset[first : first + block, :, :dimension] for dataset in datasets]
+            block_frames = np.concatenate(parts, axis=1) if len(parts) > 1 else parts[0]
+            yield from map(_native, block_frames)
+
+
+def _native(frame: np.ndarray) -> np.ndarray:
+    """A frame in native byte order."""
+    return np.ascontiguousarray(frame.astype(frame.dtype.newbyteorder("="), copy=False))
+
+
+LAGRANGEBENCH = Reader(
+    name="lagrangebench",
+    title="LagrangeBench or giorom HDF5, NeuralMPM .h5",
+    detect=is_lagrangebench,
+    read=read_lagrangebench,
+)
+"""Reader of HDF5 data sets."""
