@@ -159,6 +159,12 @@ def test_a_number_that_is_not_finite_passes(tmp_path: Path):
     assert np.array_equal(np.stack(list(trajectory.frames())), positions, equal_nan=True)
 
 
+def read_all(path: Path) -> None:
+    """Every frame of every trajectory."""
+    for trajectory in GNS_TFRECORD.read(path):
+        list(trajectory.frames())
+
+
 def damaged_files() -> dict[str, bytes]:
     good = framed(example(motion(0), types_of(0)))
     flipped = bytearray(good)
@@ -190,8 +196,7 @@ def test_a_damaged_record_is_refused_in_one_line(finding: str, tmp_path: Path):
     path = tmp_path / "train.tfrecord"
     path.write_bytes(damaged_files()[finding])
     with pytest.raises(DataError) as refusal:
-        for trajectory in GNS_TFRECORD.read(path):
-            list(trajectory.frames())
+        read_all(path)
     message = str(refusal.value)
     assert "\n" not in message
     assert finding in message or finding == "at least one"
@@ -199,7 +204,8 @@ def test_a_damaged_record_is_refused_in_one_line(finding: str, tmp_path: Path):
 
 
 @pytest.mark.parametrize(
-    "text", ["[1]", "{", "[" * 100_000, '{"dt": NaN}', '{"dt": 1e999}', '{"bounds": [[1, 0], [0, 1]]}']
+    "text",
+    ["[1]", "{", "[" * 100_000, '{"dt": NaN}', '{"dt": 1e999}', '{"bounds": [[1, 0], [0, 1]]}'],
 )
 def test_damaged_metadata_are_refused(folder: Path, text: str):
     """Metadata that are there must make sense."""

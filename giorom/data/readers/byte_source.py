@@ -6,12 +6,12 @@ member that does not unpack and a disk that fails are all one ``DataError`` in o
 length a file claims is believed before it is compared with the bytes that are there.
 """
 
+import io
 import zipfile
 import zlib
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO
 
 from giorom.data.metadata import DataError
 
@@ -84,7 +84,7 @@ class FileSource(ByteSource):
             DataError: If it cannot be opened.
         """
         self.path, self.name = path, str(path)
-        self._file: IO[bytes] | None = None
+        self._file: io.RawIOBase | None = None
         try:
             self._file = path.open("rb", buffering=0)
             self.size = self._file.seek(0, 2)
@@ -141,7 +141,7 @@ class PackedSource(ByteSource):
         """Prepare to read a member.
 
         Args:
-            archive: The open archive, which must stay open.
+            archive: The open archive, which closes itself with its last user.
             member: Which member.
             name: What to call it in messages.
         """
@@ -169,16 +169,23 @@ class PackedSource(ByteSource):
         if before:
             return max(before, key=lambda place: place.position)
         if len(self._places) == 2:
-            self._places.remove(max(self._places, key=lambda place: place.position))
+            furthest = max(self._places, key=lambda place: place.position)
+            furthest.stream.close()
+            self._places.remove(furthest)
         self._places.append(_Place(self._archive.open(self._member)))
         return self._places[-1]
+
+    def __del__(self) -> None:
+        """Close the streams, so that the archive can be closed with its last user."""
+        for place in getattr(self, "_places", ()):
+            place.stream.close()
 
 
 @dataclass(slots=True)
 class _Place:
     """How far a member has been unpacked."""
 
-    stream: IO[bytes]
+    stream: io.BufferedIOBase
     position: int = 0
 
 
@@ -260,7 +267,7 @@ class Cursor:
         )
 
 
-def _gather(stream: IO[bytes], count: int) -> bytes:
+def _gather(stream: io.RawIOBase | io.BufferedIOBase, count: int) -> bytes:
     """``count`` bytes of a stream, or what there is."""
     pieces, missing = [], count
     while missing and (piece := stream.read(missing)):

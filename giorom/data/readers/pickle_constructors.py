@@ -211,6 +211,12 @@ def _encode(arguments: tuple[Any, ...]) -> Any:
         raise Refused("its array bytes are text that is no Latin-1") from None
 
 
+def _empty_bytes(arguments: tuple[Any, ...]) -> bytes:
+    if arguments:
+        raise Refused("it makes bytes in another way than pickle does")
+    return b""
+
+
 def _ordered_dict(arguments: tuple[Any, ...]) -> dict[str, Any]:
     if arguments:
         raise Refused("it fills an OrderedDict in an unusual way")
@@ -278,6 +284,7 @@ CONSTRUCTORS: dict[str, Callable[[tuple[Any, ...]], Any]] = {
     "numpy.core.numeric._frombuffer": _from_buffer,
     "numpy.dtype": _dtype,
     "_codecs.encode": _encode,
+    "__builtin__.bytes": _empty_bytes,
     "collections.OrderedDict": _ordered_dict,
     "torch._utils._rebuild_tensor_v2": _tensor,
 }

@@ -12,7 +12,8 @@ the number of steps have limits, so that neither time nor memory is the file's c
 Accepted globals: ``numpy.ndarray``, ``numpy.dtype``, ``numpy.core.multiarray._reconstruct``,
 ``_codecs.encode``, ``collections.OrderedDict``, ``torch._utils._rebuild_tensor_v2`` and the names
 of PyTorch's storages; of NumPy also ``scalar`` (a number) and ``_frombuffer`` (an array in
-pickle protocol 5); ``numpy._core`` stands for ``numpy.core``.
+pickle protocol 5); ``numpy._core`` stands for ``numpy.core``, and ``__builtin__.bytes`` without
+arguments for the bytes of an empty array in protocol 2.
 """
 
 from collections.abc import Callable
@@ -87,11 +88,12 @@ def load_pickle(source: ByteSource, *, start: int = 0, has_storages: bool = Fals
     raise DataError(f"{source.name}: the pickle has no end. It is cut off.")
 
 
-def first_texts(source: ByteSource, *, most: int = 200) -> list[str]:
+def first_texts(source: ByteSource, *, start: int = 0, most: int = 200) -> list[str]:
     """Short texts among the first opcodes of a pickle, to tell what it is.
 
     Args:
         source: Where it lies.
+        start: Its first byte.
         most: How many opcodes to look at.
 
     Returns:
@@ -99,7 +101,7 @@ def first_texts(source: ByteSource, *, most: int = 200) -> list[str]:
     """
     texts: list[str] = []
     try:
-        for count, (_, code, argument, _) in enumerate(steps(source, 0)):
+        for count, (_, code, argument, _) in enumerate(steps(source, start)):
             if count == 0 and code != 0x80:
                 return []
             if isinstance(argument, str):

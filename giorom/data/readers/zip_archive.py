@@ -111,11 +111,6 @@ class ZipArchive:
         name_length, extra_length = struct.unpack("<HH", header[26:30])
         return member.header_offset + 30 + int(name_length) + int(extra_length)
 
-    def __del__(self) -> None:
-        """Close the archive with its last user."""
-        if getattr(self, "_archive", None) is not None:
-            self._archive.close()  # type: ignore[union-attr]
-
 
 def is_zip(path: Path) -> bool:
     """Whether a file begins like a zip archive.
