@@ -17,7 +17,11 @@ COMMANDS = {
     "export": "a motion or a data set for another program: HDF5, GNS, VTKHDF, USD, PLY, film",
     "evaluate": "score a trained model on held-out trajectories",
     "models": "list the pretrained models",
+    "benchmark": "speed of the parts: benchmark solver",
 }
+
+FAMILIES = ("benchmark",)
+"""Commands whose next word chooses among several."""
 
 EXTRAS = {
     "warp": "sim",
@@ -66,12 +70,9 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _run(name: str, arguments: list[str]) -> int:
-    """Import and run one command; turn its failures into one line and an exit code."""
+    """Run one command; turn its failures into one line and an exit code."""
     try:
-        command = importlib.import_module(f"giorom.commands.{name}")
-        from giorom.commands.shared import execute
-
-        return execute(name, command, arguments, description=COMMANDS[name])
+        return _execute(name, arguments)
     except ModuleNotFoundError as error:
         missing = (error.name or "").split(".")[0]
         extra = EXTRAS.get(missing)
@@ -92,6 +93,20 @@ def _run(name: str, arguments: list[str]) -> int:
         if os.environ.get("GIOROM_TRACEBACK"):
             raise
         return _refuse(name, f"{type(error).__name__}: {error}", 3)
+
+
+def _execute(name: str, arguments: list[str]) -> int:
+    """Import one command, or the one its next word chooses, and run it."""
+    command = importlib.import_module(f"giorom.commands.{name}")
+    description = COMMANDS[name]
+    if name in FAMILIES:
+        chosen = command.choose(arguments)
+        if chosen is None:
+            return 0
+        name, command, arguments, description = chosen
+    from giorom.commands.shared import execute
+
+    return execute(name, command, arguments, description=description)
 
 
 def _refuse(name: str, text: str, code: int) -> int:
