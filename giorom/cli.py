@@ -12,6 +12,8 @@ import sys
 COMMANDS = {
     "demo": "one body through the whole method: film, picture, table against MPM",
     "simulate": "make training data with the material point method",
+    "import": "make a data set of somebody else's particle motions",
+    "inspect": "report on a data set, with pictures",
     "train": "train a time-stepper and a neural field",
     "rollout": "simulate a body with a trained model, to a file",
     "export": "a motion or a data set for another program: HDF5, GNS, VTKHDF, USD, PLY, film",
@@ -23,12 +25,16 @@ COMMANDS = {
 FAMILIES = ("benchmark",)
 """Commands whose next word chooses among several."""
 
+MODULES = {"import": "import_data"}
+"""Modules of commands whose name Python keeps for itself."""
+
 EXTRAS = {
     "warp": "sim",
     "trimesh": "sim",
     "submitit": "slurm",
     "pyvista": "render",
     "imageio": "render",
+    "matplotlib": "render",
     "imageio_ffmpeg": "render",
     "pxr": "usd",
 }
@@ -97,7 +103,7 @@ def _run(name: str, arguments: list[str]) -> int:
 
 def _execute(name: str, arguments: list[str]) -> int:
     """Import one command, or the one its next word chooses, and run it."""
-    command = importlib.import_module(f"giorom.commands.{name}")
+    command = importlib.import_module(f"giorom.commands.{MODULES.get(name, name)}")
     description = COMMANDS[name]
     if name in FAMILIES:
         chosen = command.choose(arguments)

@@ -92,7 +92,7 @@ def check_device(device: str) -> None:
 
 
 def progress_bar(
-    arguments: argparse.Namespace, *, total: float | int, unit: str, text: str
+    arguments: argparse.Namespace, *, total: float | int | None, unit: str, text: str
 ) -> tqdm:
     """A progress bar on stderr, silent with --quiet."""
     return tqdm(
@@ -120,7 +120,7 @@ def print_table(
         table.add_column(column, justify="left" if number == 0 else "right")
     for row in rows:
         table.add_row(*row)
-    Console(soft_wrap=True).print(table)
+    Console(soft_wrap=True, markup=False, highlight=False).print(table)
 
 
 def check_output(path: Path, *, folder: bool) -> Path:
