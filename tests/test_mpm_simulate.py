@@ -137,7 +137,25 @@ def test_impossible_solvers_are_refused(values: dict, message: str):
 
 @pytest.mark.gpu
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
-@pytest.mark.parametrize("config", [COARSE, replace(WATER2D, spacing=1.0 / 48.0)])
+@pytest.mark.parametrize(
+    "config",
+    [
+        COARSE,
+        replace(WATER2D, spacing=1.0 / 48.0),
+        replace(COARSE, material="fixed_corotated"),
+        replace(
+            COARSE,
+            material="drucker_prager_sand",
+            material_parameters=COARSE.material_parameters | {"friction_angle": 30.0},
+        ),
+        replace(
+            COARSE,
+            material="viscoplastic_goop",
+            material_parameters=COARSE.material_parameters
+            | {"yield_stress": 100.0, "viscosity": 20.0},
+        ),
+    ],
+)
 def test_cuda_and_cpu_agree(config):
     """One source for both; sums in another order, so 1e-5 m over 20 frames."""
     scene, solver = draw_scene(config, seed=0), replace(SOLVER, frames=21)

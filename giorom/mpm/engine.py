@@ -142,6 +142,11 @@ class Engine:
         """Compile before the first launch, so that a run's clock measures the run alone."""
         modules = {self._kernels.module: None}
         for law in scene.laws:
+            if law.name not in FAMILIES:
+                raise ValueError(
+                    f"there is no kernel for the material {law.name!r}; it cannot be simulated. "
+                    f"Materials that can: {', '.join(FAMILIES)}."
+                )
             modules[build_law_kernels(FAMILIES[law.name], self._dimension).module] = None
         for module in modules:
             wp.load_module(module, device=self._device)

@@ -39,7 +39,7 @@ class MaterialChoice:
     material: str
     """Name of a material, see ``giorom.mpm.materials.MATERIALS``."""
 
-    material_parameters: dict[str, float]
+    material_parameters: dict[str, float | bool]
     """Parameters of the material, SI."""
 
     particle_type: int | None = None
@@ -67,7 +67,7 @@ class SwitchChoice:
     material: str
     """Name of the new material."""
 
-    material_parameters: dict[str, float]
+    material_parameters: dict[str, float | bool]
     """Its parameters, SI."""
 
     def __post_init__(self) -> None:
@@ -93,7 +93,7 @@ class SceneConfig:
     material: str
     """Name of a material, see ``giorom.mpm.materials.MATERIALS``."""
 
-    material_parameters: dict[str, float]
+    material_parameters: dict[str, float | bool]
     """Parameters of the material, SI."""
 
     shapes: list[str]

@@ -2,11 +2,12 @@
 
 import json
 import math
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import pytest
 import torch
 
+from giorom.mpm import draw_scene
 from giorom.mpm.materials import (
     MATERIALS,
     DruckerPragerSand,
@@ -20,6 +21,8 @@ from giorom.mpm.materials import (
     make_material,
     material_attributes,
 )
+from giorom.mpm.scene_config import JELLY3D, SceneConfig
+from giorom.records import parse_record
 
 MODULI = {"density": 1000.0, "youngs_modulus": 1e5, "poissons_ratio": 0.3}
 RUBBER = StableNeoHookean(**MODULI)
@@ -181,6 +184,17 @@ def test_parameters_with_a_default_may_be_left_out():
         "drucker_prager_sand", MODULI | {"friction_angle": 25.0, "volume_correction": 0.0}
     )
     assert bouncing.volume_correction is False
+
+
+def test_scene_configuration_passes_truth_values_to_the_material():
+    """YAML's true and false reach the law as such; numbers stay numbers."""
+    values = asdict(JELLY3D) | {
+        "material": "drucker_prager_sand",
+        "material_parameters": MODULI | {"friction_angle": 25, "volume_correction": False},
+    }
+    config = parse_record(SceneConfig, values, where="test")
+    sand = draw_scene(config, seed=0).materials[0]
+    assert sand == DruckerPragerSand(**MODULI, friction_angle=25.0, volume_correction=False)
 
 
 SAND = MODULI | {"friction_angle": 25.0}

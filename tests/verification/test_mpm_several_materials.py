@@ -20,8 +20,9 @@ from giorom.mpm import (
     simulate,
 )
 from giorom.mpm.boundary import walls_of
+from giorom.mpm.device_laws import FAMILIES
 from giorom.mpm.engine import Engine
-from giorom.mpm.materials import Material
+from giorom.mpm.materials import MATERIALS, Material
 from giorom.mpm.return_maps import cone_slope
 from giorom.mpm.shapes import lattice
 from giorom.state import KINEMATIC
@@ -276,3 +277,20 @@ def test_impossible_scenes_are_refused(values: dict, message: str):
         values = {"switch": MaterialSwitch(frame=frame, material_index=index, material=material)}
     with pytest.raises(ValueError, match=message):
         changed(scene, **values)
+
+
+def test_law_without_a_kernel_is_refused_by_name():
+    """A law may exist as a reference alone; a run of it must say so."""
+
+    class Jelly(FixedCorotated):
+        name = "house_made_jelly"
+
+    scene = bodies([Jelly(**MODULI)], [[0.5, 0.5]], [[0.0, 0.0]])
+    solver = SolverConfig(grid_cells=CELLS, frame_dt=5e-3, frames=2)
+    with pytest.raises(ValueError, match=r"no kernel for the material 'house_made_jelly'"):
+        simulate(scene, solver)
+
+
+def test_every_material_of_the_registry_has_a_kernel():
+    """What YAML can name can be simulated."""
+    assert set(FAMILIES) == set(MATERIALS)
