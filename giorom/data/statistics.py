@@ -21,8 +21,8 @@ from giorom.state import Trajectory
 
 __all__ = ["Statistics", "StatisticsAccumulator", "measure_statistics"]
 
-BLOCK_NUMBERS = 1 << 22
-"""Coordinates that are differenced in float64 at a time: 32 MiB, however long a trajectory."""
+BLOCK_NUMBERS = 1 << 20
+"""Coordinates that are differenced in float64 at a time: 8 MiB, however long a trajectory."""
 
 
 @dataclass(frozen=True, kw_only=True)
