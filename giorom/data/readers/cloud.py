@@ -83,7 +83,8 @@ def reading(path: Path) -> Iterator[None]:
     if not path.is_file():
         raise DataError(f"{path} is no file. Check the path.")
     try:
-        yield
+        with np.errstate(all="ignore"):
+            yield
     except DataError:
         raise
     except (

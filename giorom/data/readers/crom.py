@@ -27,7 +27,7 @@ CLEAR_RATIO = 0.3
 """Above this ratio of the smaller to the larger candidate the guess is called unsure."""
 
 REST_TOLERANCE = 1e-5
-"""Change of the reference positions that is still rounding, as a share of the body's size."""
+"""Change of the reference positions that is still rounding, as a share of the body's length."""
 
 
 def _series(path: Path) -> Iterator[FileSeries]:
@@ -69,12 +69,12 @@ def _read(path: Path) -> Iterator[ForeignTrajectory]:
 def _read_sequence(series: FileSeries) -> ForeignTrajectory:
     """One sequence, after telling from its first frame what q is."""
     reference, state, _ = _arrays(series.files[0])
-    size = float(np.linalg.norm(np.ptp(reference, axis=0)))
     if reference.shape != state.shape:
         raise _different_shapes(series.files[0], reference, state)
-    with np.errstate(invalid="ignore", over="ignore"):
-        as_displacement = float(np.nanmean(np.abs(state)))
-        as_position = float(np.nanmean(np.abs(state - reference)))
+    with np.errstate(all="ignore"):
+        size = float(np.ptp(reference, axis=0).max())
+        as_displacement = _mean_size(state)
+        as_position = _mean_size(state - reference)
     displaced = as_displacement <= as_position
     small, large = sorted((as_displacement, as_position))
     kind = "the displacement (position = x + q)" if displaced else "the current position"
@@ -98,12 +98,23 @@ def _read_frame(path: Path, *, reference: np.ndarray, size: float, displaced: bo
     rest, state, time = _arrays(path)
     if rest.shape != state.shape:
         raise _different_shapes(path, rest, state)
-    if rest.shape == reference.shape and np.abs(rest - reference).max() > REST_TOLERANCE * size:
+    with np.errstate(all="ignore"):
+        same = rest.shape != reference.shape or np.allclose(
+            rest, reference, rtol=0.0, atol=REST_TOLERANCE * size, equal_nan=True
+        )
+        position = rest + state if displaced else state
+    if not same:
         raise DataError(
             f"{path} has other reference positions x than the first frame of its sequence, so that "
             f"its points are others or in another order. Write the same x in every frame."
         )
-    return cloud_of(rest + state if displaced else state, {}, path=path, time=time)
+    return cloud_of(position, {}, path=path, time=time)
+
+
+def _mean_size(values: np.ndarray) -> float:
+    """Mean of the sizes of the finite numbers; 0 if there are none."""
+    size = np.abs(values[np.isfinite(values)])
+    return float(size.mean()) if len(size) else 0.0
 
 
 def _different_shapes(path: Path, rest: np.ndarray, state: np.ndarray) -> DataError:
