@@ -4,6 +4,7 @@ from pathlib import Path
 
 from giorom.data.readers.arrays import from_arrays
 from giorom.data.readers.crom import CROM
+from giorom.data.readers.csv_files import CSV
 from giorom.data.readers.gns_npz import GNS_NPZ
 from giorom.data.readers.gns_tfrecord import GNS_TFRECORD
 from giorom.data.readers.lagrangebench import LAGRANGEBENCH
@@ -26,6 +27,7 @@ READERS: tuple[Reader, ...] = (
     VTK,
     PLY,
     OBJ,
+    CSV,
 )
 """Every reader, the most particular format first."""
 
