@@ -10,6 +10,7 @@ from giorom.data.readers.gns_tfrecord import GNS_TFRECORD
 from giorom.data.readers.lagrangebench import LAGRANGEBENCH
 from giorom.data.readers.mpm_verse import MPM_VERSE
 from giorom.data.readers.nclaw import NCLAW
+from giorom.data.readers.npy_files import NPY
 from giorom.data.readers.obj import OBJ
 from giorom.data.readers.ply import PLY
 from giorom.data.readers.source import DataError, ForeignTrajectory, Reader
@@ -28,6 +29,7 @@ READERS: tuple[Reader, ...] = (
     PLY,
     OBJ,
     CSV,
+    NPY,
 )
 """Every reader, the most particular format first."""
 
