@@ -24,6 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--frame-dt", type=float, help="time between the stored frames [s], if the file is silent"
     )
+    parser.add_argument("--format", metavar="NAME", help="format of FILE, if it is not recognised")
     parser.add_argument(
         "--layout",
         choices=LAYOUTS,
@@ -44,6 +45,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
         index=arguments.trajectory or 0,
         stride=1 if arguments.stride is None else arguments.stride,
         frame_dt=arguments.frame_dt,
+        format_name=arguments.format,
     )
     check_room(arguments.out, source.header, frames=source.frame_count or 0)
     bar = progress_bar(arguments, total=source.frame_count or 0, unit="frame", text="export")
@@ -83,7 +85,7 @@ def check_motion_output(out: Path) -> Path:
 
 def _run_dataset(arguments: argparse.Namespace) -> dict[str, Any]:
     """Write a whole data set."""
-    single = ("trajectory", "split", "stride", "frame_dt")
+    single = ("trajectory", "split", "stride", "frame_dt", "format")
     given = [
         f"--{name.replace('_', '-')}" for name in single if getattr(arguments, name) is not None
     ]

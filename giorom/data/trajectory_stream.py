@@ -16,13 +16,14 @@ from jaxtyping import Float, Int
 from giorom.data.metadata import DataError, read_metadata
 from giorom.data.trajectory_file import (
     CHUNK_BYTES,
+    SPLITS,
     group_header,
     opened,
     split_path,
     trajectory_names,
 )
 
-__all__ = ["StoredTrajectory", "find_stored", "is_trajectory_file", "stored_trajectories"]
+__all__ = ["StoredTrajectory", "find_stored", "is_ours", "stored_trajectories"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,17 +77,21 @@ class StoredTrajectory:
                     yield from position[start:stop][::stride]
 
 
-def is_trajectory_file(path: Path) -> bool:
-    """Whether a file looks like one of ours or of LagrangeBench; never raises.
+def is_ours(path: Path) -> bool:
+    """Whether a file was written by this package, or a folder holds such split files.
+
+    Files of LagrangeBench have the same layout but number their walls otherwise. Never raises.
 
     Args:
-        path: The file.
+        path: The file or folder.
     """
     import h5py
 
+    if path.is_dir():
+        return any(is_ours(split_path(path, split)) for split in SPLITS)
     try:
         with h5py.File(path, "r") as file:
-            return "00000/position" in file and "00000/particle_type" in file
+            return "giorom_format_version" in file.attrs
     except (OSError, KeyError, RuntimeError):
         return False
 

@@ -24,7 +24,7 @@ import torch
 from giorom.data.atomic import replacing_folder, write_json
 from giorom.data.metadata import read_metadata
 from giorom.data.trajectory_file import CHUNK_BYTES, SPLITS, DataError
-from giorom.data.trajectory_stream import StoredTrajectory, stored_trajectories
+from giorom.data.trajectory_stream import StoredTrajectory, is_ours, stored_trajectories
 from giorom.export.gns import StoredMotion, write_gns_file
 from giorom.export.scene import DIAMETER_PER_SPACING, diameter_from_spacing
 from giorom.state import KINEMATIC
@@ -56,6 +56,8 @@ def export_dataset(
         DataError: If the data set is unfinished or empty, or ``out`` holds anything.
     """
     metadata = read_metadata(folder)
+    if not is_ours(folder):
+        raise DataError(f"{folder} is a foreign data set. Run 'giorom import {folder}' first.")
     splits = {name: stored_trajectories(folder, name) for name in SPLITS}
     if not any(splits.values()):
         raise DataError(f"{folder} has no trajectory; nothing can be exported.")

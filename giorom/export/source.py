@@ -14,9 +14,10 @@ import torch
 from torch import Tensor
 
 from giorom.data.metadata import DataError
-from giorom.data.readers import ForeignTrajectory, detect_format
-from giorom.data.trajectory_stream import find_stored, is_trajectory_file
+from giorom.data.readers import READERS, ForeignTrajectory, Reader, detect_format
+from giorom.data.trajectory_stream import find_stored, is_ours
 from giorom.export.writer import MotionHeader
+from giorom.records import nearest
 
 __all__ = ["MotionSource", "open_source"]
 
@@ -39,7 +40,13 @@ class MotionSource:
 
 
 def open_source(
-    path: Path, *, split: str, index: int, stride: int = 1, frame_dt: float | None = None
+    path: Path,
+    *,
+    split: str,
+    index: int,
+    stride: int = 1,
+    frame_dt: float | None = None,
+    format_name: str | None = None,
 ) -> MotionSource:
     """Open one motion of a file or folder.
 
@@ -49,6 +56,7 @@ def open_source(
         index: Number of the trajectory.
         stride: Take every so manyth frame.
         frame_dt: Time between the stored frames [s], over what the file says.
+        format_name: Name of a foreign format; told from the content by default.
 
     Raises:
         DataError: If there is no such motion, or the file is damaged or of no known format.
@@ -58,19 +66,13 @@ def open_source(
         raise ValueError(f"the stride must be >= 1, got {stride}.")
     if frame_dt is not None and not 0.0 < frame_dt < float("inf"):
         raise ValueError(f"the time between frames must be > 0 s, got {frame_dt!r}.")
-    if _is_ours(path):
-        return _ours(path, split=split, index=index, stride=stride, frame_dt=frame_dt)
-    return _foreign(path, split=split, index=index, stride=stride, frame_dt=frame_dt)
-
-
-def _is_ours(path: Path) -> bool:
-    """Whether the readers of ``giorom.data`` open it themselves (or say best why they do not)."""
     if not path.exists():
         raise DataError(f"{path} does not exist. Check the path.")
-    if path.is_dir():
-        metadata = (path / "metadata.json").is_file()
-        return metadata and any(path.glob("*.h5"))
-    return is_trajectory_file(path)
+    if format_name is None and is_ours(path):
+        return _ours(path, split=split, index=index, stride=stride, frame_dt=frame_dt)
+    reader = detect_format(path) if format_name is None else _named(format_name)
+    motion = _pick(path, reader, split=split, index=index)
+    return _foreign(motion, stride=stride, frame_dt=frame_dt)
 
 
 def _ours(
@@ -93,10 +95,7 @@ def _ours(
     )
 
 
-def _foreign(
-    path: Path, *, split: str, index: int, stride: int, frame_dt: float | None
-) -> MotionSource:
-    motion = _pick(path, split=split, index=index)
+def _foreign(motion: ForeignTrajectory, *, stride: int, frame_dt: float | None) -> MotionSource:
     step = motion.frame_dt if frame_dt is None else frame_dt
     if step is None:
         raise ValueError(
@@ -122,10 +121,18 @@ def _foreign(
     )
 
 
-def _pick(path: Path, *, split: str, index: int) -> ForeignTrajectory:
+def _named(name: str) -> Reader:
+    """The reader of that name."""
+    readers = {reader.name: reader for reader in READERS}
+    if name not in readers:
+        raise DataError(f"there is no format {name!r}. {nearest(name, readers)}")
+    return readers[name]
+
+
+def _pick(path: Path, reader: Reader, *, split: str, index: int) -> ForeignTrajectory:
     """The trajectory of that number; the split counts where the source has splits."""
     count = 0
-    for motion in detect_format(path).read(path):
+    for motion in reader.read(path):
         if motion.split not in (None, split):
             continue
         if count == index:

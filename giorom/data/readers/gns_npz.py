@@ -3,9 +3,10 @@
 geoelements stores one array of objects per trajectory, ``simulation_0`` and so on: positions
 (frames, particles, axes), particle types (one integer or one per particle) and, in newer
 files, a material property per particle, which is left out with a note. Older files have
-one array ``gns_data`` of such pairs. Arrays of objects are pickles; they go through
-``restricted_pickle`` and never through NumPy's loader. An array of three axes under any name is
-taken as a trajectory too, with the types of an array named ``particle_type`` if there is one.
+one array ``gns_data`` of such pairs; ours one of records, which need no pickle. Arrays of objects
+are pickles; they go through ``restricted_pickle`` and never through NumPy's loader. An array of
+three axes under any name is taken as a trajectory too, with the types of an array named
+``particle_type`` if there is one.
 """
 
 import re
@@ -23,6 +24,7 @@ from giorom.data.readers.foreign_metadata import (
 )
 from giorom.data.readers.lazy_array import LazyArray
 from giorom.data.readers.npy_header import NpyHeader, read_npy_header
+from giorom.data.readers.npy_records import read_records
 from giorom.data.readers.particle_arrays import WATER, check_frames, checked_types, types_from
 from giorom.data.readers.pickle_constructors import StoredArray
 from giorom.data.readers.restricted_pickle import load_pickle
@@ -91,9 +93,19 @@ def _files(path: Path) -> list[Path]:
 def _read_file(path: Path, metadata: ForeignMetadata) -> Iterator[ForeignTrajectory]:
     archive = ZipArchive(path)
     names = [name for name in archive.members if name.endswith(".npy")]
+    found = 0
+    for name in list(names):
+        records = read_records(archive.source(name))
+        if records is None:
+            continue
+        archive.check_sum(name)
+        names.remove(name)
+        for number, (positions, kinds) in enumerate(records):
+            where = f"{path.name}[{name.removesuffix('.npy')}][{number}]"
+            yield _trajectory(positions, kinds, False, where=where, path=path, metadata=metadata)
+            found += 1
     headers = {name: read_npy_header(archive.source(name)) for name in names}
     types = _shared_types(archive, headers)
-    found = 0
     for name in sorted(names, key=_natural):
         header = headers[name]
         if not (header.holds_objects or len(header.shape) == 3):
