@@ -416,7 +416,8 @@ def _check_match(experiment: Experiment, metadata: dict[str, Any], folder: Path)
     if found != wanted:
         raise ValueError(
             f"{folder} has dim={found}, the experiment {experiment.system} expects {wanted}. Use "
-            f"the preset the data were made with; for imported data, one of {found} dimensions."
+            f"the preset the data were made with; for imported data, one of {found} dimensions, or "
+            f"change it with --scene.dimension {found}."
         )
     frame_dt, expected = float(metadata["dt"]), experiment.solver.frame_dt
     if abs(frame_dt - expected) > 1e-6 * expected:

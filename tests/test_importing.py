@@ -183,6 +183,25 @@ def test_walls_follow_unit_and_axes():
     ]
 
 
+def test_walls_without_a_type_can_be_told_by_their_rest(tmp_path):
+    """Five particles that never move become kinematic, and so leave the statistics."""
+    position = [positions(i) for i in range(3)]
+    for motion in position:
+        motion[:, :5] = motion[0, :5]
+    source = [foreign(i, position=p) for i, p in enumerate(position)]
+    report = load(source, tmp_path / "set", frozen_kinematic=True)
+    assert report.facts["types"] == {"3": 15, "6": 75}
+    assert report.facts["frozen"] == 0
+    assert sum("never move were made kinematic" in note for note in report.notes) == 3
+    free = [foreign(i, position=p[:, 5:]) for i, p in enumerate(position)]
+    alone = load(free, tmp_path / "free").facts["statistics"]
+    assert report.facts["statistics"] == alone
+    assert load(source, tmp_path / "plain").facts["frozen"] == 15
+    still = foreign(9, position=np.repeat(positions()[:1], 5, axis=0))
+    report = load([*source, still], tmp_path / "still", frozen_kinematic=True)
+    assert report.facts["types"] == {"3": 15, "6": 105}
+
+
 @pytest.mark.parametrize("keep", [(0, 1), (3, 1), (0, 4), (5, 3), (40, 2)])
 def test_announced_and_delivered_frames_agree(keep):
     skip, stride = keep

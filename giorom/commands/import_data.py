@@ -31,6 +31,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="shares of the trajectories, in place of what the source says",
     )
     parser.add_argument(
+        "--frozen-kinematic",
+        action="store_true",
+        help="take particles that never move for walls (type 3)",
+    )
+    parser.add_argument(
         "--drop-bad-trajectories",
         action="store_true",
         help="leave out trajectories that are damaged or not finite",
@@ -44,6 +49,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     options = ImportOptions(
         conversion=conversion,
         shares=None if arguments.splits is None else tuple(arguments.splits),
+        frozen_kinematic=arguments.frozen_kinematic,
         drop_bad=arguments.drop_bad_trajectories,
         limit=arguments.limit,
     )

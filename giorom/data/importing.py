@@ -25,7 +25,7 @@ from giorom.data.statistics import StatisticsAccumulator
 from giorom.data.trajectory_file import SPLITS, attributes_text
 from giorom.data.trajectory_writer import open_trajectory_writer
 from giorom.data.work_folder import assemble_dataset, open_work_folder, part_path, split_parts
-from giorom.state import PARTICLE_TYPE_COUNT
+from giorom.state import KINEMATIC, PARTICLE_TYPE_COUNT
 
 __all__ = ["ImportOptions", "Progress", "import_trajectories", "measure_trajectories"]
 
@@ -45,6 +45,9 @@ class ImportOptions:
 
     shares: tuple[float, float] | None = None
     """Shares for validation and test, in place of what the source says."""
+
+    frozen_kinematic: bool = False
+    """Give particles that never move the kinematic type; every motion is read twice for it."""
 
     drop_bad: bool = False
     """Leave trajectories out that are damaged or not finite, instead of refusing the source."""
@@ -207,6 +210,8 @@ def _take(state: _Progressing, foreign: ForeignTrajectory) -> None:
     motion = converted(foreign, state.options.conversion)
     _check_like(motion, motions, frame_dt_needed=True)
     try:
+        if state.options.frozen_kinematic:
+            motion = _with_walls(motion)
         _store(state, motion, part_path(state.folder, len(motions)))
     except DataError as error:
         if not state.options.drop_bad:
@@ -237,6 +242,23 @@ def _store(state: _Progressing, motion: ForeignTrajectory, path: Path) -> None:
         frame_dt=motion.frame_dt,
         identity_kept=motion.identity_kept,
         notes=motion.notes,
+    )
+
+
+def _with_walls(motion: ForeignTrajectory) -> ForeignTrajectory:
+    """The same motion, particles that never move made kinematic where others do move."""
+    first, moved = None, np.zeros(len(motion.particle_type), bool)
+    for frame in _checked_frames(motion, [], finite=True):
+        first = frame.copy() if first is None else first
+        moved |= (frame != first).any(axis=1)
+    frozen = ~moved & (motion.particle_type != KINEMATIC)
+    if not frozen.any() or not moved.any():
+        return motion
+    note = f"{motion.name}: {int(frozen.sum())} particles that never move were made kinematic."
+    return replace(
+        motion,
+        particle_type=np.where(frozen, KINEMATIC, motion.particle_type),
+        notes=(*motion.notes, note),
     )
 
 

@@ -24,7 +24,7 @@ GRAVITY_TOLERANCE = 0.15
 """Relative deviation from it that is let pass."""
 
 ROUNDING_SHARE = 0.1
-"""Largest share of rounding in the spread of the accelerations that is let pass."""
+"""Largest share of rounding in the size of the accelerations that is let pass."""
 
 STATISTICS_FACTOR = 1.25
 """Largest factor between statistics of a file and measured ones that is let pass."""
@@ -178,24 +178,26 @@ def _outside(motions: list[MotionSummary]) -> Iterator[str]:
 
 def _rounding(motions: list[MotionSummary], facts: dict[str, Any]) -> Iterator[str]:
     grids = [m.grid for m in motions if m.grid is not None]
-    spread = [value for value in facts["statistics"].get("acc_std", []) if value > 0.0]
-    if not grids or not spread:
+    statistics = facts["statistics"]
+    pairs = zip(statistics.get("acc_mean", []), statistics.get("acc_std", []), strict=True)
+    sizes = [math.hypot(*pair) for pair in pairs if pair[1] > 0.0]
+    if not grids or not sizes:
         return
     coarsest = max(grids, key=lambda grid: grid.step)
-    size = math.sqrt(sum(value**2 for value in spread) / len(spread))
+    size = math.sqrt(sum(value**2 for value in sizes) / len(sizes))
     share = coarsest.acceleration_noise / size
     if share > ROUNDING_SHARE:
         stride = max(2, math.ceil(math.sqrt(share / ROUNDING_SHARE)))
         yield (
             f"positions lie on a grid of {coarsest.step:.2g} ({coarsest.name}), and rounding alone "
-            f"makes {100.0 * min(share, 1.0):.0f} % of the spread of the accelerations. Export "
+            f"makes {100.0 * min(share, 1.0):.0f} % of the size of the accelerations. Export "
             f"with more digits, or try --stride {stride}."
         )
         return
     rounding = float(np.spacing(np.float32(max(grid.typical for grid in grids)))) / math.sqrt(2.0)
-    if coarsest.name == "float64" and rounding > 0.01 * min(spread):
+    if coarsest.name == "float64" and rounding > 0.01 * min(sizes):
         yield (
-            f"storing these float64 positions as float32 makes {100.0 * rounding / min(spread):.2g}"
+            f"storing these float64 positions as float32 makes {100.0 * rounding / min(sizes):.2g}"
             f" % of noise in the smallest accelerations. Move the origin nearer to the particles, "
             f"or try --stride."
         )
@@ -205,7 +207,7 @@ def _particles(motions: list[MotionSummary], facts: dict[str, Any]) -> Iterator[
     if facts["frozen"]:
         yield (
             f"{facts['frozen']} particles never move and are not kinematic: they count as free in "
-            f"statistics and loss. If they are walls, give them type 3 in the source."
+            f"statistics and loss. If they are walls, import with --frozen-kinematic."
         )
     if facts["duplicates"]:
         first = next(m for m in motions if m.duplicates)
