@@ -203,19 +203,27 @@ def _pebble(generator: np.random.Generator, wanted: Proportions) -> Shape:
     phase = generator.uniform(0.0, 2.0 * math.pi, len(waves))
     stretch = np.array([float(generator.uniform(*wanted.slenderness)), 1.0])
 
-    def level(points: np.ndarray) -> np.ndarray:
-        across, up = (points / stretch).T
-        angle = np.arctan2(up, across)[:, None]
-        radius = 1.0 + (amplitude * np.cos(waves * angle + phase)).sum(axis=1)
-        return np.hypot(across, up) - radius
+    def radius(angle: np.ndarray) -> np.ndarray:
+        return 1.0 + (amplitude * np.cos(waves * angle[:, None] + phase)).sum(axis=1)
 
-    reach = (1.0 + np.abs(amplitude).sum()) * stretch
-    scaled, edges = recentred(level, reach, size=wanted.height)
+    angle = np.linspace(0.0, 2.0 * math.pi, 721)
+    curve = radius(angle)[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1) * stretch
+    lower, upper = curve.min(axis=0), curve.max(axis=0)
+    scale = wanted.height / (upper - lower)[1]
+
+    def level(points: np.ndarray) -> np.ndarray:
+        across, up = ((points / scale + 0.5 * (lower + upper)) / stretch).T
+        return np.hypot(across, up) - radius(np.arctan2(up, across))
+
     return Shape(
         name="pebble",
-        level=scaled,
-        extent=tuple(edges.tolist()),
-        parameters={"amplitude": amplitude.tolist(), "phase": phase.tolist()},
+        level=level,
+        extent=tuple((scale * (upper - lower)).tolist()),
+        parameters={
+            "amplitude": amplitude.tolist(),
+            "phase": phase.tolist(),
+            "stretch": stretch.tolist(),
+        },
     )
 
 
