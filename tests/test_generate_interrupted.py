@@ -187,6 +187,7 @@ def test_second_writer_is_refused_and_a_lock_left_behind_is_not(short, tmp_path)
     ("change", "trajectories", "message"),
     [
         ({}, 10**12, "at most 1000000 trajectories"),
+        ({"frames": 2}, 3, "three frames or more"),
         ({"frames": 10**12}, 2, r"take about .* TiB on the disk, but .* are free"),
         ({"frames": 10**12, "grid_cells": 64}, 10**6, r"take about .* TiB on the disk"),
     ],

@@ -208,3 +208,15 @@ def test_lone_grain_that_is_pulled_apart_bears_no_strain():
     engine.advance(3000)
     (strain,) = engine.strain()
     torch.testing.assert_close(strain, torch.eye(2), rtol=0.0, atol=1e-6)
+
+
+def test_substeps_recorded_in_groups_are_the_same_substeps():
+    """250 at once are 250 one by one, bit for bit, on the CPU."""
+    scene = draw_scene(COARSE, seed=2)
+    solver = replace(SOLVER, frame_dt=2e-2, frames=2, substeps=250)
+    together, single = (simulate_module.Run(scene, solver)._engine for _ in range(2))
+    together.advance(250)
+    for _ in range(250):
+        single.advance(1)
+    assert torch.equal(together.position(), single.position())
+    assert not torch.equal(together.position(), scene.position)

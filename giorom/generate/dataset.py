@@ -76,6 +76,7 @@ def generate(
         KeyboardInterrupt: With a line that says what is kept and how to go on.
     """
     start = time.perf_counter()
+    _require_frames(experiment)
     if cluster is not None:
         require_cluster(cluster)
     # The first scene is drawn here, so that what cannot be drawn or stored leaves nothing behind.
@@ -121,6 +122,16 @@ def generate(
         "failures": [{"index": i, "reason": failures[i]} for i in sorted(failures)],
         "splits": {name: metadata[f"num_trajs_{name}"] for name in SPLITS},
     }
+
+
+def _require_frames(experiment: Experiment) -> None:
+    """Refuse trajectories of which no data set can be made."""
+    frames = experiment.solver.frames
+    if frames < 3:
+        raise ValueError(
+            f"a data set needs the accelerations of its trajectories, and so three frames or more "
+            f"of each, got SolverConfig.frames = {frames}. Raise it."
+        )
 
 
 def _identity(experiment: Experiment, *, seed: int, shape: str | None) -> dict[str, Any]:

@@ -21,6 +21,9 @@ from giorom.mpm.materials import Material
 from giorom.mpm.scene import Scene
 from giorom.mpm.transfer import build_grid_kernels, build_law_kernels
 
+MOST_RECORDED = 100
+"""Most substeps recorded together: recording one costs the time of some, replaying nothing."""
+
 
 @dataclass(kw_only=True)
 class _Group:
@@ -101,8 +104,14 @@ class Engine:
         """Advance by a number of substeps.
 
         Args:
-            substeps: How many; each number is recorded once.
+            substeps: How many; recorded in groups of up to ``MOST_RECORDED``.
         """
+        whole, rest = divmod(substeps, MOST_RECORDED)
+        for count in [MOST_RECORDED] * whole + [rest] * (rest > 0):
+            self._replay(count)
+
+    def _replay(self, substeps: int) -> None:
+        """Advance by a number of substeps that is recorded when it is first asked for."""
         if substeps not in self._graphs:
             self._graphs[substeps] = self._record(substeps)
         graph = self._graphs[substeps]
