@@ -121,21 +121,23 @@ def _write(path: Path, points: np.ndarray, **columns: np.ndarray) -> None:
 
 
 def test_every_folder_is_a_motion_and_says_its_part(tmp_path):
-    """train/run2 before train/run10; names that differ before the last number are two motions."""
+    """train/run2 before train/run10; other names are other motions, or none."""
     points = np.random.default_rng(0).random((4, 3))
     for folder in ("test/a", "train/run10", "train/run2"):
         for frame in (0, 1):
             _write(tmp_path / folder / f"f{frame}.ply", points)
-    for name in ("sand_8", "sand_9", "sand_10", "wall_0"):
+    for name in ("sand_8", "sand_9", "sand_10", "wall_0", "wall_1", "floor", "._sand_8"):
         _write(tmp_path / "train" / "two" / f"{name}.ply", points)
-    found = [(t.name.split("/", 1)[1], t.split, t.frame_count) for t in PLY.read(tmp_path)]
+    motions = list(PLY.read(tmp_path))
+    found = [(t.name.split("/", 1)[1], t.split, t.frame_count) for t in motions]
     assert found == [
         ("test/a", "test", 2),
         ("train/run2", "train", 2),
         ("train/run10", "train", 2),
         ("train/two/sand_#.ply", "train", 3),
-        ("train/two/wall_#.ply", "train", 1),
+        ("train/two/wall_#.ply", "train", 2),
     ]
+    assert motions[-1].notes == ("floor.ply stands alone beside the frames and is left out.",)
 
 
 def test_a_gap_in_the_numbers_is_said(tmp_path):
@@ -228,11 +230,12 @@ DAMAGED = {
     "beyond": (_ply(f"element vertex 99\n{XYZ}", LITTLE, VALUES), "truncated"),
     "beyond in text": (_ply(f"element vertex 99\n{XYZ}", after=b"1 2 3\n"), "truncated"),
     "ends": (_ply(f"element vertex 2\n{XYZ}", after=b"1 2 3\n" + b"\n" * 20), "truncated"),
-    "short row": (_ply(f"element vertex 2\n{XYZ}", after=b"1 2 3\n4 5\n1"), "vertex of 2"),
+    "short row": (_ply(f"element vertex 2\n{XYZ}", after=b"1 2 3\n4 5\n1"), "damaged"),
+    "short rows": (_ply(f"element vertex 2\n{XYZ}", after=b"1 2\n4 5\n" * 2), "vertex of 2"),
     "word": (_ply(f"element vertex 1\n{XYZ}", after=b"1 2 x\n"), "damaged"),
-    "huge whole number": (
-        _ply(f"element vertex 1\n{XYZ}property uchar id\n", after=b"1 2 3 300\n"),
-        "damaged",
+    "half an identity": (
+        _ply(f"element vertex 1\n{XYZ}property uchar id\n", after=b"1 2 3 0.5\n"),
+        "whole number",
     ),
     "wrong order": (_ply(f"element vertex 10\n{XYZ}", LARGE, VALUES), "byte order"),
     "list of vertices": (

@@ -9,7 +9,6 @@ import itertools
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -62,25 +61,30 @@ def read_csv_frame(path: Path) -> Cloud:
         first = next(lines, None)
         if first is None:
             raise DataError(f"{path} is empty. Remove it, or write the frame again.")
-        names = _cells(first)
+        mark = _separator(first)
+        names = _cells(first, mark)
         if all(_is_number(name) for name in names):
             lines = itertools.chain([first], lines)
             names = [AXES[axis] for axis in range(len(names))] if len(names) in (2, 3) else names
         wanted = _wanted(names, path)
-        blocks = list(_blocks(lines, wanted, len(names), path))
-        if not blocks:
+        table = _table(lines, list(wanted.values()), mark)
+        if not len(table):
             raise DataError(f"{path} has no rows below its names. Write the frame again.")
-        columns = {name: np.concatenate([block[name] for block in blocks]) for name in wanted}
+        check_count(len(table), path.stat().st_size, 2 * len(names) - 1, path=path)
+        columns = {name: table[:, index] for index, name in enumerate(wanted)}
         axes = sorted((name for name in columns if _axis(name) is not None), key=_axis)
         position = np.stack([columns[name] for name in axes], axis=1)
-        check_count(len(position), path.stat().st_size, 2 * len(names) - 1, path=path)
         return cloud_of(position, columns, path=path)
 
 
-def _cells(line: bytes) -> list[str]:
+def _separator(line: bytes) -> str | None:
+    """What stands between the cells of a row; None for blanks."""
+    return next((mark for mark in (",", ";", "\t") if mark.encode() in line), None)
+
+
+def _cells(line: bytes, mark: str | None) -> list[str]:
     """The cells of a row."""
     text = line.decode("utf-8-sig", errors="replace").strip()
-    mark = next((mark for mark in (",", ";", "\t") if mark in text), None)
     return [cell.strip().strip('"').strip() for cell in text.split(mark)]
 
 
@@ -114,26 +118,15 @@ def _wanted(names: list[str], path: Path) -> dict[str, int]:
     return wanted
 
 
-def _blocks(
-    lines: Iterator[bytes], wanted: dict[str, int], width: int, path: Path
-) -> Iterator[dict[str, np.ndarray]]:
-    """The wanted columns of many rows at a time."""
-    while rows := [_cells(line) for line in itertools.islice(lines, BLOCK_ROWS)]:
-        uneven = next((row for row in rows if len(row) != width), None)
-        if uneven is not None:
-            raise DataError(
-                f"{path} has a row of {len(uneven)} cells, its first has {width}. The file is "
-                f"truncated or damaged; write it again."
-            )
-        yield {name: _numbers([row[at] for row in rows], name) for name, at in wanted.items()}
-
-
-def _numbers(cells: list[str], name: str) -> np.ndarray:
-    """Numbers of a column; identities and types stay whole where they are."""
-    number: Any = float
-    if role_of(name) is not None and all(re.fullmatch(r"[+-]?\d{1,18}", cell) for cell in cells):
-        number = int
-    return np.array([number(cell) for cell in cells])
+def _table(lines: Iterator[bytes], columns: list[int], mark: str | None) -> np.ndarray:
+    """The numbers of some columns, many rows at a time."""
+    rows = (line.decode("utf-8-sig", errors="replace") for line in lines)
+    options = {"delimiter": mark, "usecols": columns, "comments": None, "quotechar": '"'}
+    blocks = []
+    for first in rows:
+        block = itertools.chain([first], itertools.islice(rows, BLOCK_ROWS - 1))
+        blocks.append(np.loadtxt(block, dtype=np.float64, ndmin=2, **options))
+    return np.concatenate(blocks) if blocks else np.empty((0, len(columns)))
 
 
 def _detect(path: Path) -> bool:
@@ -143,7 +136,8 @@ def _detect(path: Path) -> bool:
         if file is None:
             return False
         with file.open("rb") as stream:
-            names = _cells(next(line for line in text_lines(stream, path=file) if line.strip()))
+            first = next(line for line in text_lines(stream, path=file) if line.strip())
+            names = _cells(first, _separator(first))
     except (OSError, DataError, StopIteration):
         return False
     axes = {_axis(name) for name in names}

@@ -98,18 +98,20 @@ def _folder_series(
     folder: Path, name: str, extensions: Collection[str], *, split: str | None, depth: int
 ) -> Iterator[FileSeries]:
     """The motions of a folder, or else of its folders."""
-    try:
-        entries = sorted(folder.iterdir(), key=natural_key)
-    except OSError as error:
-        raise DataError(f"{folder} cannot be listed ({error.strerror}). Check it.") from None
+    entries = _entries(folder)
     groups: dict[str, list[Path]] = {}
     for entry in entries:
         if entry.suffix.lower() in extensions and entry.is_file():
             groups.setdefault(_series_key(entry), []).append(entry)
+    longest = max((len(files) for files in groups.values()), default=0)
+    alone = [key for key, files in groups.items() if len(files) == 1 < longest]
     for key, unsorted in groups.items():
-        title = name if len(groups) == 1 else f"{name}/{key}"
+        if key in alone:
+            continue
+        title = name if len(groups) - len(alone) == 1 else f"{name}/{key}"
         files = sorted(unsorted, key=lambda file: (_last_number(file), natural_key(file)))
-        yield FileSeries(name=title, files=tuple(files), split=split, notes=_gap_note(files))
+        notes = (*_gap_note(files), *(_alone_note(groups[other][0]) for other in alone))
+        yield FileSeries(name=title, files=tuple(files), split=split, notes=notes)
     if groups or depth >= FOLDER_DEPTH:
         return
     for entry in entries:
@@ -117,6 +119,22 @@ def _folder_series(
             part = SPLIT_FOLDERS.get(entry.name.lower(), split)
             below = f"{name}/{entry.name}"
             yield from _folder_series(entry, below, extensions, split=part, depth=depth + 1)
+
+
+def _entries(folder: Path) -> list[Path]:
+    """What a folder holds, in natural order, without hidden files (macOS leaves ``._a.ply``)."""
+    try:
+        return sorted(
+            (entry for entry in folder.iterdir() if not entry.name.startswith(".")),
+            key=natural_key,
+        )
+    except OSError as error:
+        raise DataError(f"{folder} cannot be listed ({error.strerror}). Check it.") from None
+
+
+def _alone_note(file: Path) -> str:
+    """Say that a file beside the frames is none."""
+    return f"{file.name} stands alone beside the frames and is left out."
 
 
 def _series_key(file: Path) -> str:

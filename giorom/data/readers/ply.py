@@ -10,6 +10,7 @@ Source:
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -212,38 +213,40 @@ def _vertices(
         table = np.frombuffer(stream.read(element.count * row.itemsize), dtype=row)
         return {name: table[name].astype(table[name].dtype.newbyteorder("=")) for name in wanted}
     check_count(element.count, room + 1, 2 * len(names), path=path)
+    table = _table(stream, element.count, path)
+    if table.shape[1] != len(names):
+        raise DataError(
+            f"{path} has a vertex of {table.shape[1]} numbers; it must have {len(names)} "
+            f"({', '.join(names)}). The file is damaged; remake it."
+        )
     kinds = {column.name: column.kind for column in element.properties}
-    columns = {name: np.empty(element.count, dtype=kinds[name]) for name in wanted}
-    first = 0
-    for rows in _rows(stream, element.count, path):
-        uneven = next((row for row in rows if len(row) != len(names)), None)
-        if uneven is not None:
-            raise DataError(
-                f"{path} has a vertex of {len(uneven)} numbers; it must have {len(names)} "
-                f"({', '.join(names)}). The file is damaged; remake it."
-            )
-        for name in wanted:
-            at = names.index(name)
-            number = float if kinds[name][0] == "f" else int
-            columns[name][first : first + len(rows)] = [number(row[at]) for row in rows]
-        first += len(rows)
-    return columns
+    return {
+        name: table[:, names.index(name)].astype(kinds[name] if kinds[name][0] == "f" else "f8")
+        for name in wanted
+    }
 
 
-def _rows(stream: Any, count: int, path: Path) -> Iterator[list[list[bytes]]]:
-    """The words of the next ``count`` lines that are not blank, many lines at a time."""
-    rows = []
-    lines = text_lines(stream, path=path)
+def _table(stream: Any, count: int, path: Path) -> np.ndarray:
+    """The numbers of the next ``count`` rows; rows of different lengths are an error.
+
+    Whole numbers of this format have at most 32 bits, which a double holds exactly.
+    """
+    blocks = []
+    rows = _rows(stream, count, path)
+    for first in range(0, count, BLOCK_LINES):
+        block = islice(rows, min(BLOCK_LINES, count - first))
+        blocks.append(np.loadtxt(block, dtype=np.float64, comments=None, ndmin=2))
+    return np.concatenate(blocks)
+
+
+def _rows(stream: Any, count: int, path: Path) -> Iterator[str]:
+    """The next ``count`` lines that are not blank."""
+    lines = (line for line in text_lines(stream, path=path) if line.strip())
     for _ in range(count):
-        row = next((words for line in lines if (words := line.split())), None)
-        if row is None:
+        line = next(lines, None)
+        if line is None:
             raise DataError(f"{path} ends within its numbers. It is truncated; copy it again.")
-        rows.append(row)
-        if len(rows) == BLOCK_LINES:
-            yield rows
-            rows = []
-    if rows:
-        yield rows
+        yield line.decode("latin-1")
 
 
 def _skip(stream: Any, element: Element, header: Header, *, path: Path, size: int) -> None:

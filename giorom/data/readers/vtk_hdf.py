@@ -22,7 +22,7 @@ from giorom.data.readers.source import DataError, ForeignTrajectory
 
 __all__ = ["HDF_EXTENSIONS", "is_vtk_hdf", "read_vtk_hdf"]
 
-HDF_EXTENSIONS = (".vtkhdf", ".hdf")
+HDF_EXTENSIONS = (".vtkhdf", ".hdf", ".hdf5", ".h5")
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
