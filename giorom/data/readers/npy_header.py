@@ -98,7 +98,7 @@ def read_npy_header(source: ByteSource) -> NpyHeader:
     descr, fortran, shape = (match.group(1) for match in found.values() if match)
     lengths = [part.strip(" L\n") for part in shape.split(",") if part.strip()]
     if len(lengths) > 8 or any(not re.fullmatch(r"[0-9]{1,15}", part) for part in lengths):
-        raise DataError(f"{source.name} has an absurd shape ({shape[:60]}). It is damaged.")
+        raise DataError(f"{source.name} has an absurd shape ({shape[:60]!r}). It is damaged.")
     return NpyHeader(
         source, descr, tuple(map(int, lengths)), fortran == "True", begin + int(length)
     )
