@@ -86,6 +86,7 @@ def test_rates_of_processes_side_by_side_are_added(tiny_case, monkeypatch):
                 "cpu_seconds": [1.0, 1.0],
                 "block_frames": 1,
                 "block_work": 40.0,
+                "law": "fixed_corotated",
                 "points": 1,
                 "substeps": 40,
             }
@@ -139,7 +140,10 @@ def test_command_writes_rows_machine_and_table(tiny_yaml, tmp_path, capsys):
     assert len(table.read_text().splitlines()) == 4
     assert result["machine"]["cores"] >= 1
     assert result["machine"]["versions"]["torch"]
-    assert main(["benchmark", "solver", str(tiny_yaml), "--repeats", "1", "--quiet"]) == 0
+    words = ["benchmark", "solver", str(tiny_yaml), "--repeats", "1", "--quiet"]
+    assert main([*words, "--json", str(json_file)]) == 0
+    (row,) = json.loads(json_file.read_text())["rows"]
+    assert (row["case"], row["law"]) == ("tiny", "stable_neo_hookean")
 
 
 @pytest.mark.parametrize(

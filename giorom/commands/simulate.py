@@ -24,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--trajectories", type=int, required=True, help="number of trajectories")
     parser.add_argument("--out", type=Path, required=True, help="folder of the data set")
     parser.add_argument("--shape", help="shape name or closed mesh file for every trajectory")
-    parser.add_argument("--jobs", type=int, help="processes; by default one per core")
+    parser.add_argument("--jobs", type=int, help="processes; by default one per core, on a GPU one")
     parser.add_argument(
         "--executor",
         choices=tuple(EXECUTORS),
@@ -45,7 +45,9 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     """Make the data set; continues where an earlier call stopped."""
     if arguments.trajectories < 1:
         raise ValueError(f"--trajectories must be >= 1, got {arguments.trajectories}.")
-    jobs = os.cpu_count() or 1 if arguments.jobs is None else arguments.jobs
+    jobs = arguments.jobs
+    if jobs is None:
+        jobs = os.cpu_count() or 1 if arguments.device == "cpu" else 1
     if jobs < 1:
         raise ValueError(f"--jobs must be >= 1, got {jobs}.")
     cluster = _cluster(arguments)

@@ -141,7 +141,7 @@ def measure_speed(
     frame = median(all_blocks) / measured[0]["block_frames"]
     return {
         "case": case.name,
-        "law": case.scene.material,
+        "law": measured[0]["law"],
         "dimension": case.scene.dimension,
         "points": measured[0]["points"],
         "grid_cells": case.grid_cells,
@@ -193,6 +193,7 @@ def _time_blocks(
         "cpu_seconds": cpu_seconds,
         "block_frames": block,
         "block_work": run.work(block),
+        "law": " + ".join(sorted({material.name for material in scene.materials})),
         "points": len(scene.position),
         "substeps": substeps,
     }
