@@ -116,10 +116,10 @@ def arrays() -> dict[str, tuple[Any, Any]]:
         "floats": (motion(0).astype(int), types),
         "shape": (motion(0)[0], types),
         "coordinates": (motion(0, (5, 7, 4)), types),
-        "at least one": (motion(0, (0, 7, 2)), types),
+        "empty": (motion(0, (0, 7, 2)), types),
         "type 9": (motion(0), np.full(7, 9)),
         "one integer": (motion(0), np.full(6, 5)),
-        "not integers": (motion(0), np.full(7, 5.0)),
+        "particle types of type": (motion(0), np.full(7, 5.0)),
     }
 
 
@@ -156,12 +156,19 @@ def attributes(group: Any, path: Path) -> None:
     group.attrs["frame_dt"], group.attrs["bounds"] = "soon", "far"
 
 
+def endless(group: Any, path: Path) -> None:
+    """A frame time that is no number."""
+    group["position"] = motion(0)
+    group.attrs["frame_dt"], group.attrs["bounds"] = np.nan, np.array([[0, 1], [0, 1]])
+
+
 STORAGES = {
-    "are stored": hollow,
-    "blocks of": vast_block,
-    "another file": link,
+    "announces": hollow,
+    "out of proportion": vast_block,
+    "not followed": link,
     "other files": outside,
     "unknown form": attributes,
+    "finite": endless,
 }
 
 

@@ -6,14 +6,12 @@ Our own data sets have the same layout and say frame time and walls as attribute
 NeuralMPM: one file per simulation with ``particles`` (frames, particles, positions and velocities)
 and ``boundary`` likewise, whose particles are taken as kinematic.
 
-Frames are read in the blocks in which HDF5 stores them. A block that would not fit into memory
-is refused before HDF5 allocates it.
+Frames are read in the blocks in which HDF5 stores them, behind ``hdf5_guard``.
 """
 
 import math
 import re
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -21,12 +19,12 @@ import numpy as np
 from jaxtyping import Float
 
 from giorom.data.metadata import DataError
-from giorom.data.readers.byte_source import first_line
 from giorom.data.readers.foreign_metadata import (
     ForeignMetadata,
     read_foreign_metadata,
     split_of,
 )
+from giorom.data.readers.hdf5_guard import guarded_file, member, numbers_of, rows_of
 from giorom.data.readers.particle_arrays import WATER, check_frames, checked_types
 from giorom.data.readers.source import ForeignTrajectory, Reader
 
@@ -35,21 +33,12 @@ __all__ = ["LAGRANGEBENCH"]
 BLOCK_BYTES = 32 << 20
 """Memory for a block of frames."""
 
-MOST_CHUNK_BYTES = 512 << 20
-"""Largest compressed block HDF5 may have to hold."""
-
-MOST_RATIO = 1100
-"""Strongest compression that deflate is able to reach."""
-
 KINEMATIC = 3
 """Type of boundary particles (GNS convention)."""
 
 SPLIT_ORDER = ("train", "valid", "test")
 
 HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
-
-HDF5_ERRORS = (OSError, KeyError, RuntimeError, ValueError, TypeError, OverflowError, MemoryError)
-"""What h5py raises on damaged files."""
 
 
 def read_lagrangebench(path: Path) -> Iterator[ForeignTrajectory]:
@@ -81,14 +70,14 @@ def is_lagrangebench(path: Path) -> bool:
     Returns:
         Whether it has.
     """
-    files = _files(path)
     try:
+        files = _files(path)
         if not files or not files[0].is_file():
             return False
         with files[0].open("rb") as file:
             if file.read(8) != HDF5_MAGIC:
                 return False
-        with _opened(files[0]) as file:
+        with guarded_file(files[0]) as file:
             return "00000/position" in file or "particles" in file
     except (DataError, OSError):
         return False
@@ -110,24 +99,8 @@ def _natural(file: Path) -> list[tuple[int, str]]:
     return [(int(part), "") if part.isascii() and part.isdigit() else (-1, part) for part in parts]
 
 
-@contextmanager
-def _opened(path: Path) -> Iterator[Any]:
-    """An open file; what the library raises becomes ``DataError``."""
-    import h5py
-
-    try:
-        with h5py.File(path, "r") as file:
-            yield file
-    except DataError:
-        raise
-    except HDF5_ERRORS as error:
-        raise DataError(
-            f"{path} is truncated, damaged or no HDF5 file ({first_line(error)}). Copy it again."
-        ) from None
-
-
 def _read_file(path: Path, metadata: ForeignMetadata) -> Iterator[ForeignTrajectory]:
-    with _opened(path) as file:
+    with guarded_file(path) as file:
         names = sorted(name for name in file if re.fullmatch(r"[0-9]{5,9}", name))
         is_single = not names and "particles" in file
         if not names and not is_single:
@@ -141,12 +114,13 @@ def _read_file(path: Path, metadata: ForeignMetadata) -> Iterator[ForeignTraject
 def _trajectory(path: Path, name: str, metadata: ForeignMetadata) -> ForeignTrajectory:
     """One group of a LagrangeBench file, or of ours."""
     where = f"{path.name}[{name}]"
-    with _opened(path) as file:
-        position = _dataset(file, f"{name}/position", where)
+    with guarded_file(path) as file:
+        group = member(file, name, path=path)
+        position = _positions(group, "position", path)
         frames, count, dimension = position.shape
         check_frames(frames, count, dimension, where)
-        types = _types(file, f"{name}/particle_type", count, where)
-        frame_dt, bounds = _own_scene(file[name], dimension, where)
+        types = _types(group, count, path, where)
+        frame_dt, bounds = _own_scene(group, dimension, where)
     notes = metadata.notes if bounds is None else ()
     known = bounds if bounds is not None else metadata.bounds
     if known is not None and len(known) != dimension:
@@ -154,7 +128,7 @@ def _trajectory(path: Path, name: str, metadata: ForeignMetadata) -> ForeignTraj
     return ForeignTrajectory(
         name=where,
         particle_type=types,
-        frames=lambda: _frames(path, [f"{name}/position"], dimension, where),
+        frames=lambda: _frames(path, name, ["position"], dimension),
         frame_count=frames,
         split=split_of(path),
         frame_dt=frame_dt if frame_dt is not None else metadata.frame_dt,
@@ -167,13 +141,13 @@ def _trajectory(path: Path, name: str, metadata: ForeignMetadata) -> ForeignTraj
 def _neural_mpm(path: Path, metadata: ForeignMetadata) -> ForeignTrajectory:
     """The simulation of a NeuralMPM file."""
     where, keys = path.name, ["particles"]
-    with _opened(path) as file:
-        frames, count, channels = _dataset(file, "particles", where).shape
+    with guarded_file(path) as file:
+        frames, count, channels = _positions(file, "particles", path).shape
         dimension = channels // 2 if channels in (4, 6) else channels
         check_frames(frames, count, dimension, where)
         types = np.full(count, WATER)
         if "boundary" in file:
-            boundary = _dataset(file, "boundary", where)
+            boundary = _positions(file, "boundary", path)
             if boundary.shape[0] != frames or boundary.shape[2] < dimension:
                 raise DataError(f"{where}: 'boundary' has shape {boundary.shape}, which is odd.")
             if boundary.shape[1]:
@@ -187,7 +161,7 @@ def _neural_mpm(path: Path, metadata: ForeignMetadata) -> ForeignTrajectory:
     return ForeignTrajectory(
         name=where,
         particle_type=checked_types(types, len(types), where),
-        frames=lambda: _frames(path, keys, dimension, where),
+        frames=lambda: _frames(path, "", keys, dimension),
         frame_count=frames,
         split=split_of(path),
         frame_dt=metadata.frame_dt,
@@ -197,59 +171,20 @@ def _neural_mpm(path: Path, metadata: ForeignMetadata) -> ForeignTrajectory:
     )
 
 
-def _dataset(file: Any, key: str, where: str) -> Any:
-    """A data set of three axes of floats, whose blocks fit into memory."""
-    import h5py
-
-    dataset = _linked_inside(file, key, where)
-    if not isinstance(dataset, h5py.Dataset) or dataset.ndim != 3 or dataset.dtype.kind != "f":
-        raise DataError(f"{where} has no floats {key!r} of shape (frames, particles, axes).")
-    if dataset.dtype.itemsize > 8:
-        raise DataError(f"{where} is stored in {dataset.dtype}; store float32 or float64.")
-    _check_storage(dataset, where)
-    return dataset
+def _positions(group: Any, key: str, path: Path) -> Any:
+    """An unread array of floats with the axes frames, particles, space."""
+    data = numbers_of(group, key, path=path, dims=3)
+    if data is None or data.dtype.kind != "f":
+        raise DataError(f"{path} has no floats {key!r} of shape (frames, particles, axes).")
+    return data
 
 
-def _linked_inside(file: Any, key: str, where: str) -> Any:
-    """An entry of the file; links to other files are not followed."""
-    import h5py
-
-    names = key.split("/")
-    for depth in range(1, len(names) + 1):
-        link = file.get("/".join(names[:depth]), getlink=True)
-        if isinstance(link, h5py.ExternalLink):
-            raise DataError(f"{where} is a link to another file. Copy the data into this one.")
-    return file.get(key)
-
-
-def _check_storage(dataset: Any, where: str) -> None:
-    """Reject outside files and blocks that would take the memory."""
-    if dataset.external or dataset.is_virtual:
-        raise DataError(f"{where} keeps its numbers in other files. Copy them into this one.")
-    stored = dataset.id.get_storage_size()
-    if dataset.nbytes > MOST_RATIO * stored:
-        raise DataError(
-            f"{where} announces {dataset.nbytes} bytes, but {stored} are stored. It is damaged."
-        )
-    chunk = math.prod(dataset.chunks or (1,)) * dataset.dtype.itemsize
-    if chunk > MOST_CHUNK_BYTES:
-        raise DataError(
-            f"{where} is stored in blocks of {chunk} bytes, more than {MOST_CHUNK_BYTES}. "
-            f"It is damaged, or must be stored in smaller chunks."
-        )
-
-
-def _types(file: Any, key: str, count: int, where: str) -> np.ndarray:
+def _types(group: Any, count: int, path: Path, where: str) -> np.ndarray:
     """Particle types."""
-    import h5py
-
-    dataset = _linked_inside(file, key, where)
-    if not isinstance(dataset, h5py.Dataset) or dataset.size not in (1, count):
-        raise DataError(f"{where} has no {key!r} with one integer for each of {count} particles.")
-    if dataset.dtype.kind not in "iu" or dataset.dtype.itemsize > 8:
-        raise DataError(f"{where} has particle types of type {dataset.dtype}, not integers.")
-    _check_storage(dataset, where)
-    return checked_types(np.asarray(dataset[()]), count, where)
+    data = numbers_of(group, "particle_type", path=path, dims=1)
+    if data is None or data.shape[0] not in (1, count):
+        raise DataError(f"{where} has no 'particle_type' with one integer for each particle.")
+    return checked_types(rows_of(data, 0, data.shape[0], path=path), count, where)
 
 
 def _own_scene(group: Any, dimension: int, where: str) -> tuple[float | None, Any]:
@@ -261,31 +196,34 @@ def _own_scene(group: Any, dimension: int, where: str) -> tuple[float | None, An
     fits = frame_dt.shape == () and bounds.shape == (dimension, 2)
     if not fits or not {frame_dt.dtype.kind, bounds.dtype.kind} <= set("fiu"):
         raise DataError(f"{where} has attributes frame_dt and bounds of an unknown form.")
-    return float(frame_dt), bounds.astype(np.float64)
+    walls = bounds.astype(np.float64)
+    if not (
+        0.0 < frame_dt < np.inf and np.isfinite(walls).all() and (walls[:, 0] < walls[:, 1]).all()
+    ):
+        raise DataError(
+            f"{where} has frame_dt={float(frame_dt)!r} and bounds {walls.tolist()}; they must be "
+            f"finite, the time > 0 and each lower bound below the upper one."
+        )
+    return float(frame_dt), walls
 
 
 def _frames(
-    path: Path, keys: list[str], dimension: int, where: str
+    path: Path, name: str, keys: list[str], dimension: int
 ) -> Iterator[Float[np.ndarray, "p d"]]:
     """Positions of one frame after the other, the data sets side by side."""
-    with _opened(path) as file:
-        datasets = [_dataset(file, key, where) for key in keys]
+    with guarded_file(path) as file:
+        group = member(file, name, path=path) if name else file
+        datasets = [_positions(group, key, path) for key in keys]
         frames = datasets[0].shape[0]
-        frame_bytes = max(1, sum(int(np.prod(d.shape[1:])) * d.dtype.itemsize for d in datasets))
+        frame_bytes = sum(math.prod(data.shape[1:]) * data.dtype.itemsize for data in datasets)
         block = max(1, BLOCK_BYTES // frame_bytes)
         chunk = datasets[0].chunks[0] if datasets[0].chunks else 1
-        block = (
-            max(chunk, block - block % chunk) if chunk * frame_bytes <= 4 * BLOCK_BYTES else block
-        )
+        block = chunk * max(1, block // chunk) if chunk <= 4 * block else block
         for first in range(0, frames, block):
-            parts = [dataset[first : first + block, :, :dimension] for dataset in datasets]
-            block_frames = np.concatenate(parts, axis=1) if len(parts) > 1 else parts[0]
-            yield from map(_native, block_frames)
-
-
-def _native(frame: np.ndarray) -> np.ndarray:
-    """A frame in native byte order."""
-    return np.ascontiguousarray(frame.astype(frame.dtype.newbyteorder("="), copy=False))
+            last = min(first + block, frames)
+            parts = [rows_of(data, first, last, path=path)[:, :, :dimension] for data in datasets]
+            joined = np.concatenate(parts, axis=1) if len(parts) > 1 else parts[0]
+            yield from map(np.ascontiguousarray, joined)
 
 
 LAGRANGEBENCH = Reader(
