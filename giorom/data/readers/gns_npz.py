@@ -9,7 +9,6 @@ three axes under any name is taken as a trajectory too, with the types of an arr
 ``particle_type`` if there is one.
 """
 
-import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -22,6 +21,7 @@ from giorom.data.readers.foreign_metadata import (
     read_foreign_metadata,
     split_of,
 )
+from giorom.data.readers.frame_files import natural_key
 from giorom.data.readers.lazy_array import LazyArray
 from giorom.data.readers.npy_header import NpyHeader, read_npy_header
 from giorom.data.readers.npy_records import read_records
@@ -106,7 +106,7 @@ def _read_file(path: Path, metadata: ForeignMetadata) -> Iterator[ForeignTraject
             found += 1
     headers = {name: read_npy_header(archive.source(name)) for name in names}
     types = _shared_types(archive, headers)
-    for name in sorted(names, key=_natural):
+    for name in sorted(names, key=lambda name: natural_key(Path(name))):
         header = headers[name]
         if not (header.holds_objects or len(header.shape) == 3):
             continue
@@ -126,12 +126,6 @@ def _read_file(path: Path, metadata: ForeignMetadata) -> Iterator[ForeignTraject
             f"{path} holds no trajectory: none of {', '.join(names[:5]) or 'no arrays'} has the "
             f"axes (frames, particles, 2 or 3). Check what is in it."
         )
-
-
-def _natural(name: str) -> list[tuple[int, str]]:
-    """Sort ``simulation_10`` after ``simulation_9``."""
-    parts = re.findall(r"[0-9]{1,18}|[^0-9]+", name)
-    return [(int(part), "") if part.isascii() and part.isdigit() else (-1, part) for part in parts]
 
 
 def _shared_types(archive: ZipArchive, headers: dict[str, NpyHeader]) -> LazyArray | None:

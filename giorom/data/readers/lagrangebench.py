@@ -24,6 +24,7 @@ from giorom.data.readers.foreign_metadata import (
     read_foreign_metadata,
     split_of,
 )
+from giorom.data.readers.frame_files import natural_key
 from giorom.data.readers.hdf5_guard import guarded_file, member, numbers_of, rows_of
 from giorom.data.readers.particle_arrays import WATER, check_frames, checked_types
 from giorom.data.readers.source import ForeignTrajectory, Reader
@@ -90,13 +91,7 @@ def _files(path: Path) -> list[Path]:
     folders = [path, *(path / name for name in SPLIT_ORDER)]
     found = [file for folder in folders for file in folder.glob("*.h5") if file.is_file()]
     order = {name: place for place, name in enumerate(SPLIT_ORDER)}
-    return sorted(found, key=lambda file: (order.get(split_of(file) or "", 9), _natural(file)))
-
-
-def _natural(file: Path) -> list[tuple[int, str]]:
-    """Sort ``sim_10`` after ``sim_9``."""
-    parts = re.findall(r"[0-9]{1,18}|[^0-9]+", file.name)
-    return [(int(part), "") if part.isascii() and part.isdigit() else (-1, part) for part in parts]
+    return sorted(found, key=lambda file: (order.get(split_of(file) or "", 9), natural_key(file)))
 
 
 def _read_file(path: Path, metadata: ForeignMetadata) -> Iterator[ForeignTrajectory]:
