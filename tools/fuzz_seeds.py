@@ -60,7 +60,15 @@ def all_seeds(folder: Path) -> list[Seed]:
     Returns:
         The seeds.
     """
-    seeds = [*_tfrecord(), *_pickles(folder), *_npz(), *_nclaw(folder), *_hdf5(folder), *_text()]
+    seeds = [
+        *_tfrecord(),
+        *_pickles(folder),
+        *_npz(),
+        *_npy(),
+        *_nclaw(folder),
+        *_hdf5(folder),
+        *_text(),
+    ]
     return [*seeds, *_vtk(folder)]
 
 
@@ -184,6 +192,26 @@ def _npz() -> Iterator[Seed]:
         )
 
 
+def _npy() -> Iterator[Seed]:
+    """Frames, a motion, and the records of our own ``.npz``."""
+    records = np.zeros(2, [("positions", "<f4", (4, 5, 2)), ("particle_type", "<i8", (5,))])
+    arrays = {"frames": _motion(5, 3), "motion": _motion(4, 5, 3), "records": records}
+    files = {}
+    for name, array in arrays.items():
+        buffer = io.BytesIO()
+        np.save(buffer, array)
+        files[name] = buffer.getvalue()
+    yield _sequence("npy-frames", "npy", "npy", files["frames"])
+    yield Seed(name="npy-motion", reader="npy", target="motion.npy", content=files["motion"])
+    yield Seed(
+        name="npz-records",
+        reader="gns-npz",
+        target="train.npz",
+        content=files["records"],
+        pack=_zipped("trajectories.npy"),
+    )
+
+
 def _nclaw(folder: Path) -> Iterator[Seed]:
     import torch
 
@@ -271,6 +299,8 @@ def _text() -> Iterator[Seed]:
     }
     for name, (kind, content) in files.items():
         yield _sequence(name, kind, kind, content)
+    table = "x,y,z,particle_type\n" + "".join(f"{x:.4f},{y:.4f},{z:.4f},5\n" for x, y, z in points)
+    yield _sequence("csv", "csv", "csv", table.encode())
 
 
 def _sequence(name: str, reader: str, extension: str, content: bytes) -> Seed:

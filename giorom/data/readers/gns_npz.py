@@ -25,11 +25,12 @@ from giorom.data.readers.frame_files import natural_key
 from giorom.data.readers.lazy_array import LazyArray
 from giorom.data.readers.npy_header import NpyHeader, read_npy_header
 from giorom.data.readers.npy_records import read_records
-from giorom.data.readers.particle_arrays import WATER, check_frames, checked_types, types_from
+from giorom.data.readers.particle_arrays import check_frames, checked_types, types_from
 from giorom.data.readers.pickle_constructors import StoredArray
 from giorom.data.readers.restricted_pickle import load_pickle
 from giorom.data.readers.source import ForeignTrajectory, Reader
 from giorom.data.readers.zip_archive import ZipArchive, is_zip
+from giorom.state import WATER
 
 __all__ = ["GNS_NPZ"]
 

@@ -26,16 +26,14 @@ from giorom.data.readers.foreign_metadata import (
 )
 from giorom.data.readers.frame_files import natural_key
 from giorom.data.readers.hdf5_guard import guarded_file, member, numbers_of, rows_of
-from giorom.data.readers.particle_arrays import WATER, check_frames, checked_types
+from giorom.data.readers.particle_arrays import check_frames, checked_types
 from giorom.data.readers.source import ForeignTrajectory, Reader
+from giorom.state import KINEMATIC, WATER
 
 __all__ = ["LAGRANGEBENCH"]
 
 BLOCK_BYTES = 32 << 20
 """Memory for a block of frames."""
-
-KINEMATIC = 3
-"""Type of boundary particles (GNS convention)."""
 
 SPLIT_ORDER = ("train", "valid", "test")
 

@@ -15,10 +15,11 @@ from jaxtyping import Float
 
 from giorom.data.metadata import DataError
 from giorom.data.readers.lazy_array import LazyArray
-from giorom.data.readers.particle_arrays import WATER, check_frames, checked_types
+from giorom.data.readers.particle_arrays import check_frames, checked_types
 from giorom.data.readers.pickle_constructors import StoredArray
 from giorom.data.readers.source import MOST_PARTICLES, ForeignTrajectory, Reader
 from giorom.data.readers.torch_file import load_torch_file, torch_file_texts
+from giorom.state import WATER
 
 __all__ = ["NCLAW"]
 

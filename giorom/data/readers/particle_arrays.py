@@ -8,10 +8,7 @@ from giorom.data.readers.lazy_array import LazyArray
 from giorom.data.readers.source import MOST_PARTICLES
 from giorom.state import PARTICLE_TYPE_COUNT
 
-__all__ = ["WATER", "check_frames", "checked_types", "types_from"]
-
-WATER = 5
-"""Type of every particle of a format without types (GNS convention)."""
+__all__ = ["check_frames", "checked_types", "types_from"]
 
 MOST_FRAMES = 10_000_000
 """Most frames a header may announce."""
