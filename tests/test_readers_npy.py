@@ -48,9 +48,22 @@ def test_each_array_of_frames_is_a_motion_of_its_own(tmp_path):
     assert found == [("9.npy", "valid", 2), ("10.npy", "valid", 12)]
 
 
+def test_a_motion_in_the_plane_is_two_dimensional(tmp_path):
+    """A z of 0 throughout is dropped and said; a later other z is refused."""
+    flat = MOTION * [1, 1, 0]
+    np.save(tmp_path / "a.npy", flat)
+    (trajectory,) = NPY.read(tmp_path)
+    np.testing.assert_array_equal(list(trajectory.frames()), MOTION[..., :2])
+    assert "2-D" in trajectory.notes[0]
+    flat[5, 3, 2] = 0.1
+    np.save(tmp_path / "a.npy", flat)
+    with pytest.raises(DataError, match=r"a.npy\[5\] has points off the plane"):
+        _read_all(tmp_path)
+
+
 def test_a_large_array_is_read_frame_by_frame(tmp_path):
     """Forty frames of 1.2 MB; the peak stays below that of four."""
-    np.save(tmp_path / "a.npy", np.zeros((40, 50_000, 3)))
+    np.save(tmp_path / "a.npy", np.ones((40, 50_000, 3)))
     (trajectory,) = NPY.read(tmp_path)
     tracemalloc.start()
     assert sum(len(frame) for frame in trajectory.frames()) == 40 * 50_000

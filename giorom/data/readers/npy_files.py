@@ -15,7 +15,7 @@ from giorom.data.readers.cloud import Cloud, check_count, cloud_of, reading
 from giorom.data.readers.frame_files import first_file, series_of
 from giorom.data.readers.lazy_array import LazyArray
 from giorom.data.readers.npy_header import read_npy_header
-from giorom.data.readers.sequence import sequence_trajectory
+from giorom.data.readers.sequence import FLAT_NOTE, in_plane, is_flat, sequence_trajectory
 from giorom.data.readers.source import MOST_PARTICLES, DataError, ForeignTrajectory, Reader
 from giorom.state import WATER
 
@@ -58,19 +58,22 @@ def _read_motion(path: Path, split: str | None) -> ForeignTrajectory:
             f"{path} holds one frame, the first file of its folder several. Put motions and "
             f"single frames into different folders."
         )
+    flat = is_flat(next(_frames(array, path, flat=False)))
     return ForeignTrajectory(
         name=path.name,
         particle_type=np.full(array.shape[1], WATER, dtype=np.int64),
-        frames=partial(_frames, array),
+        frames=partial(_frames, array, path, flat=flat),
         frame_count=array.shape[0],
         split=split,
+        notes=(FLAT_NOTE,) if flat else (),
     )
 
 
-def _frames(array: LazyArray) -> Iterator[np.ndarray]:
-    """Frames of a motion; whole numbers become floating-point ones."""
-    for frame in array.frames(time_axis=0):
-        yield frame if array.is_float else frame.astype(np.float64)
+def _frames(array: LazyArray, path: Path, *, flat: bool) -> Iterator[np.ndarray]:
+    """Frames of a motion, in floating point, without z if all of it is 0."""
+    for index, frame in enumerate(array.frames(time_axis=0)):
+        position = frame if array.is_float else frame.astype(np.float64)
+        yield in_plane(position, name=f"{path}[{index}]") if flat else position
 
 
 def _detect(path: Path) -> bool:

@@ -19,9 +19,9 @@ from giorom.data.readers.frame_files import FileSeries, series_of
 from giorom.data.readers.source import DataError, ForeignTrajectory
 from giorom.state import WATER
 
-__all__ = ["is_flat", "read_sequences", "sequence_trajectory"]
+__all__ = ["FLAT_NOTE", "in_plane", "is_flat", "read_sequences", "sequence_trajectory"]
 
-FLAT_REMEDY = "If the motion is in space, add a constant to z in every frame."
+FLAT_NOTE = "z is 0 in every frame, so the motion is read as 2-D."
 
 
 def read_sequences(
@@ -97,7 +97,7 @@ def sequence_trajectory(
         frame_dt, more = _frame_dt(ends, len(series.files))
         notes += more
     if flat:
-        notes.append("z is 0 in every frame, so the motion is read as 2-D.")
+        notes.append(FLAT_NOTE)
     if order is not None:
         notes.append("The points of each frame are put in the order of their identities.")
     known = order is not None or start.topology is not None
@@ -119,12 +119,28 @@ def _frames(
     """Positions of each file in the first one's order of particles."""
     for file in files:
         position = _matched(read_frame(file), start, path=file, first=files[0])
-        if flat and not is_flat(position):
-            raise DataError(
-                f"{file} has points off the plane z = 0, in which all points of the first and the "
-                f"last frame lie. {FLAT_REMEDY}"
-            )
-        yield np.ascontiguousarray(position[:, :2]) if flat else position
+        yield in_plane(position, name=str(file)) if flat else position
+
+
+def in_plane(position: np.ndarray, *, name: str) -> np.ndarray:
+    """Drop the z of a frame of a motion that is read as 2-D.
+
+    Args:
+        position: Positions, shape (p, 3).
+        name: The frame, for the message.
+
+    Returns:
+        Positions, shape (p, 2).
+
+    Raises:
+        DataError: If a point has another z than 0.
+    """
+    if not is_flat(position):
+        raise DataError(
+            f"{name} has points off the plane z = 0, by which the motion was taken for 2-D. If it "
+            f"is in space, add a constant to z in every frame."
+        )
+    return np.ascontiguousarray(position[:, :2])
 
 
 def is_flat(position: np.ndarray) -> bool:
