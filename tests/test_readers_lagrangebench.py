@@ -37,7 +37,7 @@ def write(path: Path, runs: list[np.ndarray], **options: Any) -> None:
         for number, positions in enumerate(runs):
             group = file.create_group(f"{number:05d}")
             group.create_dataset("position", data=positions, **options)
-            group["particle_type"] = np.full(positions.shape[1], 3, np.int32)
+            group["particle_type"] = np.full(positions.shape[1], 6, np.int32)
 
 
 @pytest.mark.parametrize(
@@ -61,7 +61,7 @@ def test_trajectories_come_back_bit_by_bit(options: dict[str, Any], tmp_path: Pa
         assert trajectory.frame_count == 25
         assert trajectory.frame_dt == pytest.approx(0.04)
         assert np.array_equal(trajectory.bounds, METADATA["bounds"])
-        assert np.array_equal(trajectory.particle_type, np.full(7, 3))
+        assert np.array_equal(trajectory.particle_type, np.full(7, 6))
         assert any("periodic" in note for note in trajectory.notes)
 
 
@@ -87,6 +87,32 @@ def test_our_own_attributes_win_over_the_metadata(tmp_path: Path):
     (trajectory,) = LAGRANGEBENCH.read(tmp_path)
     assert trajectory.frame_dt == 0.25
     assert np.array_equal(trajectory.bounds, [[-1.0, 1.0], [-2.0, 2.0]])
+
+
+@pytest.mark.parametrize(
+    ("stored", "expected"),
+    [
+        ([0, 0, 1, 2, 3], [5, 5, 3, 3, 0]),
+        ([5, 0, 1, 2, 7], [5, 0, 3, 3, 7]),
+        ([5, 6, 7, 8, 3], [5, 6, 7, 8, 3]),
+    ],
+)
+@pytest.mark.parametrize("is_ours", [True, False])
+def test_types_of_lagrangebench_become_those_of_gns(
+    stored: list[int], expected: list[int], is_ours: bool, tmp_path: Path
+):
+    """0 fluid, 1 and 2 walls, 3 rigid there; 5 water, 3 kinematic, 0 rigid here."""
+    import h5py
+
+    write(tmp_path / "train.h5", [motion(0, (3, 5, 2))])
+    with h5py.File(tmp_path / "train.h5", "a") as file:
+        file["00000/particle_type"][:] = stored
+        if is_ours:
+            file.attrs["giorom_format_version"] = 1
+    (trajectory,) = LAGRANGEBENCH.read(tmp_path / "train.h5")
+    assert trajectory.particle_type.tolist() == (stored if is_ours else expected)
+    renumbered = any("renumbered" in note for note in trajectory.notes)
+    assert renumbered == (not is_ours and stored != expected)
 
 
 def test_simulations_of_neural_mpm_are_positions_beside_velocities(tmp_path: Path):

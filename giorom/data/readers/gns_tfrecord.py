@@ -77,6 +77,8 @@ def read_tfrecord(path: Path) -> Iterator[ForeignTrajectory]:
 def is_tfrecord(path: Path) -> bool:
     """Whether a file begins with a TFRecord header of the right check sum, or a folder has one.
 
+    A damaged ``.tfrecord`` file counts, so that the reader may say what is wrong with it.
+
     Args:
         path: The file or folder.
 
@@ -87,7 +89,7 @@ def is_tfrecord(path: Path) -> bool:
     try:
         return bool(files) and _record_length(FileSource(files[0]), 0) > 0
     except DataError:
-        return False
+        return files[0].suffix == ".tfrecord"
 
 
 def _files(path: Path) -> list[Path]:

@@ -6,6 +6,11 @@ Our own data sets have the same layout and say frame time and walls as attribute
 NeuralMPM: one file per simulation with ``particles`` (frames, particles, positions and velocities)
 and ``boundary`` likewise, whose particles are taken as kinematic.
 
+LagrangeBench numbers particles in its own way: 0 fluid, 1 wall at rest, 2 moving wall, 3 rigid body
+(``NodeType`` in its lagrangebench/utils.py, read in November 2026). Outside our own files 1 and
+2 become kinematic; 0 and 3 become water and rigid where no type is above 3, which only GNS's
+numbering has.
+
 Frames are read in the blocks in which HDF5 stores them, behind ``hdf5_guard``.
 """
 
@@ -28,12 +33,16 @@ from giorom.data.readers.frame_files import natural_key
 from giorom.data.readers.hdf5_guard import guarded_file, member, numbers_of, rows_of
 from giorom.data.readers.particle_arrays import check_frames, checked_types
 from giorom.data.readers.source import ForeignTrajectory, Reader
-from giorom.state import KINEMATIC, WATER
+from giorom.state import KINEMATIC, RIGID, WATER
 
 __all__ = ["LAGRANGEBENCH"]
 
 BLOCK_BYTES = 32 << 20
 """Memory for a block of frames."""
+
+WALLS = (1, 2)
+TRANSLATION = {0: WATER, 1: KINEMATIC, 2: KINEMATIC, 3: RIGID}
+"""LagrangeBench's particle types in GNS's numbering."""
 
 SPLIT_ORDER = ("train", "valid", "test")
 
@@ -63,6 +72,8 @@ def read_lagrangebench(path: Path) -> Iterator[ForeignTrajectory]:
 def is_lagrangebench(path: Path) -> bool:
     """Whether an HDF5 file has the group 00000 or NeuralMPM's entries, or a folder has one.
 
+    A damaged ``.h5`` file counts, so that the reader may say what is wrong with it.
+
     Args:
         path: The file or folder.
 
@@ -78,7 +89,9 @@ def is_lagrangebench(path: Path) -> bool:
                 return False
         with guarded_file(files[0]) as file:
             return "00000/position" in file or "particles" in file
-    except (DataError, OSError):
+    except DataError:
+        return files[0].suffix == ".h5"
+    except OSError:
         return False
 
 
@@ -112,9 +125,9 @@ def _trajectory(path: Path, name: str, metadata: ForeignMetadata) -> ForeignTraj
         position = _positions(group, "position", path)
         frames, count, dimension = position.shape
         check_frames(frames, count, dimension, where)
-        types = _types(group, count, path, where)
+        types, notes = _types(file, group, count, path, where)
         frame_dt, bounds = _own_scene(group, dimension, where)
-    notes = metadata.notes if bounds is None else ()
+    notes += metadata.notes if bounds is None else ()
     known = bounds if bounds is not None else metadata.bounds
     if known is not None and len(known) != dimension:
         raise DataError(f"{where} is {dimension}-D, but metadata.json says {len(known)}-D.")
@@ -172,12 +185,21 @@ def _positions(group: Any, key: str, path: Path) -> Any:
     return data
 
 
-def _types(group: Any, count: int, path: Path, where: str) -> np.ndarray:
-    """Particle types."""
+def _types(
+    file: Any, group: Any, count: int, path: Path, where: str
+) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Particle types in GNS's numbering, and whether they had another."""
     data = numbers_of(group, "particle_type", path=path, dims=1)
     if data is None or data.shape[0] not in (1, count):
         raise DataError(f"{where} has no 'particle_type' with one integer for each particle.")
-    return checked_types(rows_of(data, 0, data.shape[0], path=path), count, where)
+    types = checked_types(rows_of(data, 0, data.shape[0], path=path), count, where)
+    is_mixed = bool((types > max(TRANSLATION)).any())
+    table = {old: new for old, new in TRANSLATION.items() if not is_mixed or old in WALLS}
+    if "giorom_format_version" in file.attrs or not set(table) & set(types.tolist()):
+        return types, ()
+    translated = np.array([table.get(int(kind), int(kind)) for kind in range(int(types.max()) + 1)])
+    note = ", ".join(f"{old} becomes {new}" for old, new in table.items())
+    return translated[types], (f"Particle types are LagrangeBench's and are renumbered: {note}.",)
 
 
 def _own_scene(group: Any, dimension: int, where: str) -> tuple[float | None, Any]:

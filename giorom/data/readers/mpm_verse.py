@@ -29,7 +29,7 @@ from giorom.data.readers.lazy_array import LazyArray
 from giorom.data.readers.particle_arrays import check_frames, checked_types, types_from
 from giorom.data.readers.pickle_constructors import StoredArray
 from giorom.data.readers.source import MOST_PARTICLES, ForeignTrajectory, Reader
-from giorom.data.readers.torch_file import load_torch_file, torch_file_texts
+from giorom.data.readers.torch_file import load_torch_file, looks_packed, torch_file_texts
 from giorom.state import WATER
 
 __all__ = ["MPM_VERSE"]
@@ -40,6 +40,8 @@ WINDOW = 6
 NAMES = ("train", "test", "rollout", "rollout_full", "rollout_mid", "rollout_gt")
 """Official names of files, in the order in which they are read."""
 
+SUFFIXES = (".pt", ".obj")
+
 KEYS = {"particle_type", "position", "n_particles_per_example", "output"}
 
 ROLLOUT_NOTES = (
@@ -47,6 +49,9 @@ ROLLOUT_NOTES = (
     "rollout and rollout_full are different random subsets of the particles of the same runs: "
     "row i of one is not row i of the other.",
 )
+
+
+TEST_NOTE = "Official test windows may be of a run that is also in train."
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +86,8 @@ def read_mpm_verse(path: Path) -> Iterator[ForeignTrajectory]:
 def is_mpm_verse(path: Path) -> bool:
     """Whether a pickle begins with the keys of the official data sets, or a folder has one.
 
+    A damaged file of an official name counts, so that the reader may say what is wrong with it.
+
     Args:
         path: The file or folder.
 
@@ -90,14 +97,16 @@ def is_mpm_verse(path: Path) -> bool:
     files = _files(path)
     if not files or not files[0].is_file():
         return False
-    return len(KEYS & set(torch_file_texts(files[0]))) > 0
+    texts = set(torch_file_texts(files[0]))
+    is_official = files[0].suffix in SUFFIXES and files[0].stem in NAMES
+    return bool(KEYS & texts) or (not texts and is_official and looks_packed(files[0]))
 
 
 def _files(path: Path) -> list[Path]:
     """The files to read, in the order of ``NAMES``."""
     if not path.is_dir():
         return [path]
-    candidates = [path / f"{name}{suffix}" for name in NAMES for suffix in (".pt", ".obj")]
+    candidates = [path / f"{name}{suffix}" for name in NAMES for suffix in SUFFIXES]
     return [file for file in candidates if file.is_file()]
 
 
@@ -124,19 +133,19 @@ def _read_file(
         chains = _chains(entries, path)
     else:
         chains = (_rollout(entry, f"{path.name}[{i}]") for i, entry in enumerate(entries))
+    if metadata.dimension not in (None, _dimension(entries)):
+        raise DataError(
+            f"{path} is {_dimension(entries)}-D, but metadata.json beside it says "
+            f"{metadata.dimension}-D. The files belong to different data sets."
+        )
+    leak = (TEST_NOTE,) if path.stem == "test" else ()
     for trajectory in chains:
-        dimension = metadata.dimension
-        if dimension not in (None, _dimension(entries)):
-            raise DataError(
-                f"{path} is {_dimension(entries)}-D, but metadata.json beside it says "
-                f"{dimension}-D. The files belong to different data sets."
-            )
         yield replace(
             trajectory,
             split=split,
             frame_dt=metadata.frame_dt,
             bounds=metadata.bounds,
-            notes=(*metadata.notes, *trajectory.notes),
+            notes=(*metadata.notes, *trajectory.notes, *leak),
         )
 
 
@@ -163,6 +172,8 @@ def _entries(path: Path) -> list[_Entry]:
         if array is None or len(array.shape) != 3 or not array.is_float:
             raise DataError(f"{where}: 'position' must be floats (particles, frames, axes).")
         check_frames(array.shape[1], array.shape[0], array.shape[2], where)
+        if entries and array.shape[2] != _dimension(entries):
+            raise DataError(f"{where} has other axes than the entries before. It is damaged.")
         taken += array.byte_count
         entries.append(
             _Entry(array, _array(others["particle_type"][number]), _array(others["output"][number]))

@@ -18,7 +18,7 @@ from giorom.data.readers.lazy_array import LazyArray
 from giorom.data.readers.particle_arrays import check_frames, checked_types
 from giorom.data.readers.pickle_constructors import StoredArray
 from giorom.data.readers.source import MOST_PARTICLES, ForeignTrajectory, Reader
-from giorom.data.readers.torch_file import load_torch_file, torch_file_texts
+from giorom.data.readers.torch_file import load_torch_file, looks_packed, torch_file_texts
 from giorom.state import WATER
 
 __all__ = ["NCLAW"]
@@ -60,6 +60,8 @@ def read_nclaw(path: Path) -> Iterator[ForeignTrajectory]:
 def is_nclaw(path: Path) -> bool:
     """Whether a folder has numbered files whose pickles name x, v, C and F.
 
+    A damaged first file counts, so that the reader may say what is wrong with it.
+
     Args:
         path: The folder.
 
@@ -67,7 +69,11 @@ def is_nclaw(path: Path) -> bool:
         Whether it has.
     """
     folders = _state_folders(path) if path.is_dir() else []
-    return bool(folders) and set(torch_file_texts(_states(folders[0])[0])) >= KEYS
+    if not folders:
+        return False
+    first = _states(folders[0])[0]
+    texts = set(torch_file_texts(first))
+    return texts >= KEYS or (not texts and looks_packed(first))
 
 
 def _state_folders(path: Path) -> list[Path]:

@@ -15,7 +15,7 @@ from giorom.data.readers.lazy_array import LazyArray, StorageSlice, TensorStorag
 from giorom.data.readers.restricted_pickle import first_texts, load_pickle
 from giorom.data.readers.zip_archive import ZipArchive, is_zip
 
-__all__ = ["load_torch_file", "torch_file_texts"]
+__all__ = ["load_torch_file", "looks_packed", "torch_file_texts"]
 
 LEGACY_MAGIC = 0x1950A86A20F9469CFC6C
 LEGACY_VERSION = 1001
@@ -64,6 +64,21 @@ def torch_file_texts(path: Path) -> list[str]:
         return texts
     except DataError:
         return []
+
+
+def looks_packed(path: Path) -> bool:
+    """Whether a file begins like one of ``torch.save`` or a pickle, be it whole or damaged.
+
+    Args:
+        path: The file.
+
+    Returns:
+        Whether it does; False if it cannot be read.
+    """
+    try:
+        return is_zip(path) or FileSource(path).read_at(0, 1) == b"\x80"
+    except DataError:
+        return False
 
 
 def _pickle_name(archive: ZipArchive) -> str:
