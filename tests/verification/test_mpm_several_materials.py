@@ -144,8 +144,9 @@ def test_bodies_far_apart_move_as_if_each_were_alone(dimension: int):
 def test_order_of_the_particles_does_not_matter():
     """Materials mixed in the list, held particles among them: same motion to rounding."""
     scene = crash(CLAY, WATER, 2)
-    types = torch.where(scene.position[:, 1] < 0.45, KINEMATIC, scene.particle_type)
-    scene = changed(scene, particle_type=types, clamp_plane=0.45)
+    types = torch.where(scene.position[:, 1] < 0.48, KINEMATIC, scene.particle_type)
+    scene = changed(scene, particle_type=types, clamp_plane=0.48)
+    assert scene.material_index[scene.kinematic].unique().tolist() == [0, 1]
     order = torch.randperm(len(types), generator=torch.Generator().manual_seed(0))
     one, other = engine_of(scene), engine_of(subset(scene, order))
     one.advance(100)
@@ -157,6 +158,22 @@ def test_order_of_the_particles_does_not_matter():
     torch.testing.assert_close(one.strain(1)[ranks], other.strain(1), rtol=0.0, atol=1e-4)
     held = scene.kinematic
     assert torch.equal(one.position()[held], scene.position[held])
+
+
+def test_held_particles_of_every_material_stay_where_they_are():
+    """Without a clamp plane too: nothing moves or strains them, and the others fly past."""
+    scene = crash(CLAY, WATER, 2)
+    held = torch.arange(len(scene.position)) % 3 == 1
+    types = torch.where(held, KINEMATIC, scene.particle_type)
+    engine = engine_of(changed(scene, particle_type=types))
+    engine.advance(40)
+    assert torch.equal(engine.position()[held], scene.position[held])
+    moved = (engine.position() - scene.position)[~held].norm(dim=1)
+    assert float(moved.min()) > 0.5 * 40 * DT * 1.5
+    volume_ratio = engine.strain(1)
+    own = held[scene.material_index == 1]
+    assert bool((volume_ratio[own] == 1.0).all())
+    assert not bool((volume_ratio[~own] == 1.0).all())
 
 
 def test_a_body_of_two_equal_materials_is_one_body():
