@@ -175,6 +175,16 @@ def test_damaged_archives_are_refused(tmp_path: Path):
         read(path)
 
 
+def test_a_name_that_would_break_the_line_is_refused(tmp_path: Path):
+    """Names come from the file, too; found by fuzzing."""
+    path = tmp_path / "train.npz"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("simulation\n_0.npy", b"")
+    with pytest.raises(DataError, match="name") as refusal:
+        read(path)
+    assert "\n" not in str(refusal.value)
+
+
 def test_a_stored_member_is_compared_with_its_check_sum(tmp_path: Path):
     """A changed number in an archive without compression is found."""
     path = tmp_path / "train.npz"

@@ -202,7 +202,7 @@ def _parse(message: Cursor, where: str) -> _Record:
             elif number == 2 and name == "position":
                 _add_frames(record, value, where)
             elif name != "key":
-                record.other.add(name[:40])
+                record.other.add(name[:40] if name.isprintable() else ascii(name[:40]))
     return record
 
 

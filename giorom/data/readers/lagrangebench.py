@@ -160,7 +160,9 @@ def _neural_mpm(path: Path, metadata: ForeignMetadata) -> ForeignTrajectory:
                 keys.append("boundary")
                 check_frames(frames, boundary.shape[1], dimension, where)
                 types = np.concatenate([types, np.full(boundary.shape[1], KINEMATIC)])
-        left_out = sorted(str(key)[:40] for key in file if key not in ("particles", "boundary"))
+        left_out = sorted(
+            ascii(str(key)[:40])[1:-1] for key in file if key not in ("particles", "boundary")
+        )
     notes = [*metadata.notes, "Left out: velocities.", "Boundary particles follow the others."]
     if left_out:
         notes.append(f"Left out: {', '.join(left_out[:20])}.")

@@ -149,6 +149,8 @@ def _check_directory(source: FileSource) -> None:
 def _check_member(member: zipfile.ZipInfo, path: Path) -> None:
     """Reject members that no data file has."""
     name = member.filename[:100]
+    if not name.isprintable():
+        raise DataError(f"{path} has a member of the name {name!a}. It is damaged.")
     if member.flag_bits & 1:
         raise DataError(f"{path}[{name}] is encrypted. Store it without a password.")
     if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
