@@ -18,6 +18,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from giorom.cli import main
 from giorom.data.lock import LOCK_FILE, only_writer
 from giorom.data.metadata import DataError
 from giorom.data.work_folder import finished_parts, part_path
@@ -291,3 +292,19 @@ def test_list_of_failures_goes_with_the_failures(tmp_path):
     assert [entry["index"] for entry in listed] == [2, 4]
     keep_failures(tmp_path, {})
     assert not (tmp_path / "failures.json").exists()
+
+
+def test_command_that_is_interrupted_ends_with_130_and_the_line(
+    capsys, monkeypatch, tiny_yaml, tmp_path
+):
+    """What ``generate`` says about the parts that are kept is what the user reads."""
+    from giorom.commands import simulate
+
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt("interrupted; 3 of 9 trajectories are kept.")
+
+    monkeypatch.setattr(simulate, "generate", interrupted)
+    words = ["simulate", str(tiny_yaml), "--trajectories", "9", "--out", str(tmp_path / "data")]
+    assert main([*words, "--quiet"]) == 130
+    line = "giorom simulate: interrupted; 3 of 9 trajectories are kept.\n"
+    assert capsys.readouterr().err == line
