@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from giorom.data.readers import READERS, DataError, Reader
+from giorom.data.readers import READERS, DataError, Reader, detect_format
 
 MUTANTS = int(os.environ.get("GIOROM_MUTANTS", "60"))
 
@@ -177,6 +177,7 @@ def test_a_mutant_gives_frames_or_one_line(tmp_path, case):
     seed, path = build(tmp_path), tmp_path / "mutant" / file_name
     path.parent.mkdir()
     path.write_bytes(seed)
+    assert detect_format(path) is reader
     assert sum(1 for motion in reader.read(path) for _ in motion.frames()) >= 1
     dice = random.Random(f"{case} {SEED}")  # noqa: S311  (no secret)
     refused = 0

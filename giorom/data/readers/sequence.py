@@ -152,7 +152,8 @@ def is_flat(position: np.ndarray) -> bool:
     Returns:
         False for points of a plane, which have no z.
     """
-    return position.shape[1] == 3 and not position[:, 2].any()
+    with np.errstate(invalid="ignore"):
+        return position.shape[1] == 3 and not bool(position[:, 2].any())
 
 
 def _first_types(first: Cloud, order: np.ndarray | None) -> np.ndarray:
