@@ -63,14 +63,17 @@ def eigen_plane(b: wp.mat22):
 
 @wp.func
 @no_type_check
+def _turned(first: wp.vec3, second: wp.vec3, cosine: float, sine: float):
+    """Two axes after a turn in their plane."""
+    return cosine * first - sine * second, sine * first + cosine * second
+
+
+@wp.func
+@no_type_check
 def eigen_space(b: wp.mat33):
     """Eigenvalues and axes (columns) of a symmetric 3 x 3 matrix."""
-    xx = b[0, 0]
-    yy = b[1, 1]
-    zz = b[2, 2]
-    xy = b[0, 1]
-    xz = b[0, 2]
-    yz = b[1, 2]
+    xx, yy, zz = b[0, 0], b[1, 1], b[2, 2]
+    xy, xz, yz = b[0, 1], b[0, 2], b[1, 2]
     first = wp.vec3(1.0, 0.0, 0.0)
     second = wp.vec3(0.0, 1.0, 0.0)
     third = wp.vec3(0.0, 0.0, 1.0)
@@ -78,35 +81,17 @@ def eigen_space(b: wp.mat33):
     sweep = int(0)
     while sweep < SWEEPS and wp.abs(xy) + wp.abs(xz) + wp.abs(yz) > none:
         t, c, s = _rotation(xx, yy, xy)
-        xx = xx - t * xy
-        yy = yy + t * xy
-        kept = c * xz - s * yz
-        yz = s * xz + c * yz
-        xz = kept
-        xy = float(0.0)
-        axis = c * first - s * second
-        second = s * first + c * second
-        first = axis
+        xx, yy, xy = xx - t * xy, yy + t * xy, float(0.0)
+        xz, yz = c * xz - s * yz, s * xz + c * yz
+        first, second = _turned(first, second, c, s)
         t, c, s = _rotation(xx, zz, xz)
-        xx = xx - t * xz
-        zz = zz + t * xz
-        kept = -s * yz
-        yz = c * yz
-        xy = kept
-        xz = float(0.0)
-        axis = c * first - s * third
-        third = s * first + c * third
-        first = axis
+        xx, zz, xz = xx - t * xz, zz + t * xz, float(0.0)
+        xy, yz = -s * yz, c * yz
+        first, third = _turned(first, third, c, s)
         t, c, s = _rotation(yy, zz, yz)
-        yy = yy - t * yz
-        zz = zz + t * yz
-        kept = c * xy - s * xz
-        xz = s * xy + c * xz
-        xy = kept
-        yz = float(0.0)
-        axis = c * second - s * third
-        third = s * second + c * third
-        second = axis
+        yy, zz, yz = yy - t * yz, zz + t * yz, float(0.0)
+        xy, xz = c * xy - s * xz, s * xy + c * xz
+        second, third = _turned(second, third, c, s)
         sweep = sweep + 1
     return wp.vec3(xx, yy, zz), wp.matrix_from_cols(first, second, third)
 

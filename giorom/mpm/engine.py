@@ -209,52 +209,27 @@ class Engine:
 
     def _plan(self) -> list[tuple[Any, int, list[Any]]]:
         """Kernels of one substep with their sizes and arguments, in order."""
-        dt, cells = self.substep_dt, self._cells
-        moving = [group for group in self._groups if group.moving > 0]
-        shared = [
-            [
-                array[group.start : group.start + group.moving]
-                for array in (self._x, self._v, self._affine, self._stress)
-            ]
-            for group in moving
-        ]
-        to_grid = [
-            (
-                self._kernels.particles_to_grid,
-                group.moving,
-                [
-                    *arrays,
-                    self._volume[group.start : group.start + group.moving],
-                    self._mass[group.start : group.start + group.moving],
-                    dt,
-                    cells,
-                    self._grid,
-                ],
-            )
-            for group, arrays in zip(moving, shared, strict=True)
-        ]
+        grid = [self.substep_dt, self._cells, self._grid]
         gravity = wp.types.vector(self._dimension, dtype=float)(*self._gravity)
+        to_grid, to_particles = [], []
+        for group in self._groups:
+            if group.moving == 0:
+                continue
+            own = slice(group.start, group.start + group.moving)
+            moving = [each[own] for each in (self._x, self._v, self._affine, self._stress)]
+            weight = [self._volume[own], self._mass[own]]
+            law = [group.state, group.volume_correction, group.constants]
+            to_grid.append(
+                (self._kernels.particles_to_grid, group.moving, [*moving, *weight, *grid])
+            )
+            to_particles.append(
+                (group.kernels.grid_to_particles, group.moving, [*moving, *law, *grid])
+            )
         update = (
             self._kernels.grid_update,
-            cells**self._dimension,
-            [self._grid, gravity, dt, cells, *self._walls],
+            self._cells**self._dimension,
+            [self._grid, gravity, self.substep_dt, self._cells, *self._walls],
         )
-        to_particles = [
-            (
-                group.kernels.grid_to_particles,
-                group.moving,
-                [
-                    *arrays,
-                    group.state,
-                    group.volume_correction,
-                    group.constants,
-                    dt,
-                    cells,
-                    self._grid,
-                ],
-            )
-            for group, arrays in zip(moving, shared, strict=True)
-        ]
         return [*to_grid, update, *to_particles]
 
     def _group_place(self, material_index: int) -> Tensor:
