@@ -4,6 +4,7 @@ The sound data are a cloud thrown upwards in free fall from the scheme x = x0 + 
 suspicion may be raised about them. Each test spoils one thing.
 """
 
+import json
 import math
 
 import numpy as np
@@ -19,6 +20,7 @@ from giorom.data.report import Origin, make_report
 from giorom.data.report_text import markdown, overview_rows, statistics_rows
 from giorom.data.statistics import Statistics, measure_statistics
 from giorom.data.thinned import Thinned
+from giorom.export.inspection import draw_histograms, draw_motions
 from giorom.state import KINEMATIC, WATER, Trajectory
 
 FRAME_DT = 0.005
@@ -460,6 +462,51 @@ def test_published_sets_of_the_same_kind_stand_beside_ours():
     assert "0.0014" in rows[1][header.index("WaterDrop")]
     others = report_of(*(foreign(p, frame_dt=0.005, bounds=walls) for p in position))
     assert others.facts["published"] == []
+
+
+# Hostile and degenerate data.
+
+
+def test_nothing_breaks_the_report_or_the_pictures(tmp_path):
+    """One particle, one frame, rest, infinities, all NaN, 1e40 m, 1e-42 m, absurd frame times."""
+    rng = np.random.default_rng(0)
+    for trial in range(25):
+        dim = int(rng.choice([2, 3]))
+        motions = [hostile(rng, dim) for _ in range(int(rng.choice([1, 3])))]
+        measure, complete = measure_trajectories(
+            motions, conversion=Conversion(), progress=lambda name, frames: None
+        )
+        report = make_report(measure, Origin(format="test", source="x", complete=complete))
+        assert json.loads(json.dumps(report.as_json(), allow_nan=False))["trajectories"] >= 1
+        assert markdown(report).startswith("# x")
+        if trial % 12 == 0:
+            draw_motions(measure.sheets, report.facts, tmp_path / "motions.png")
+            draw_histograms(measure, report, tmp_path / "histograms.png")
+
+
+def hostile(rng, dim):
+    """A motion nobody wants to import."""
+    count, frames = int(rng.choice([1, 2, 7, 40])), int(rng.choice([1, 2, 3, 9]))
+    position = rng.random((1, count, dim)) * np.ones((frames, 1, 1))
+    kind = rng.choice(["still", "point", "noise", "nan", "infinity", "all", "huge", "tiny"])
+    if kind == "point":
+        position[:] = 0.0
+    if kind in ("noise", "nan", "infinity"):
+        position = rng.random((frames, count, dim))
+    if kind in ("nan", "infinity"):
+        value = np.nan if kind == "nan" else -np.inf
+        position[rng.integers(frames), rng.integers(count), 0] = value
+    if kind == "all":
+        position[:] = np.nan
+    if kind in ("huge", "tiny"):
+        position *= 1e40 if kind == "huge" else 1e-42
+    return foreign(
+        position,
+        kinds=rng.choice([KINEMATIC, WATER], count),
+        dtype=np.float64,
+        bounds=None if rng.random() < 0.5 else BOX[:dim],
+        frame_dt=[None, 1e-9, 1e9, FRAME_DT][rng.integers(4)],
+    )
 
 
 # The record.

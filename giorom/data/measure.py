@@ -204,8 +204,8 @@ class MotionMeasure:
         self.frame_count += 1
 
     def _check_finite(self, position: np.ndarray) -> None:
-        """Note what is not finite; a particle that was bad once counts no more."""
-        finite = np.isfinite(position)
+        """Note what float32 cannot hold; a particle that was bad once counts no more."""
+        finite = np.abs(position) <= np.finfo(np.float32).max
         if finite.all():
             return
         wrong = ~finite.all(axis=1)

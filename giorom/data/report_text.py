@@ -92,7 +92,7 @@ def _types(facts: dict[str, Any]) -> str:
     )
 
 
-def _box(box: list[list[float]] | None) -> str:
+def _box(box: list[list[float | None]] | None) -> str:
     if box is None:
         return "not known"
     return " x ".join("..".join("?" if v is None else f"{v:.4g}" for v in pair) for pair in box)

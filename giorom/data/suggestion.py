@@ -47,6 +47,7 @@ def suggest(beginnings: Sequence[Beginning]) -> Suggestion:
         beginnings: Their positions; a radius must do for all of them.
     """
     counts, samples, radii = [], [], []
+    beginnings = [beginning for beginning in beginnings if len(beginning.position)]
     for beginning in beginnings:
         position = torch.from_numpy(beginning.position)
         wanted = min(MOST, max(FEWEST, round(beginning.particles / REDUCTION)))

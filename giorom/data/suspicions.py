@@ -97,9 +97,9 @@ def _time(motions: list[MotionSummary], facts: dict[str, Any]) -> Iterator[str]:
 
 
 def _gravity(facts: dict[str, Any]) -> Iterator[str]:
-    if facts["gravity"] is None:
+    gravity = np.array(facts["gravity"] or [])
+    if not np.any(gravity):
         return
-    gravity = np.array(facts["gravity"])
     axis, strength = int(np.abs(gravity).argmax()), float(np.linalg.norm(gravity))
     up = ("-" if gravity[axis] > 0.0 else "") + "xyz"[axis]
     if up != "y":

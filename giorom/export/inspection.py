@@ -5,6 +5,7 @@ far particles first. Colours can be told apart by colour-blind eyes.
 """
 
 import math
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -261,6 +262,8 @@ def _when(frame: int, frame_dt: float | None) -> str:
 
 
 def _save(figure: Any, path: Path) -> Path:
-    with replacing(path) as temporary:
+    with replacing(path) as temporary, warnings.catch_warnings():
+        # Of data without anything to draw, axes stay empty; matplotlib need not say so.
+        warnings.simplefilter("ignore", UserWarning)
         figure.savefig(temporary, dpi=130)
     return path
