@@ -76,6 +76,18 @@ def test_set_consists_of_what_its_description_says(uninterrupted):
     assert set(uninterrupted) == parts | files
 
 
+def test_temporary_file_of_a_killed_worker_is_cleared_away(short, uninterrupted, tmp_path):
+    """It appears while the work goes on, and nobody owns it when the work ends."""
+    folder = tmp_path / "data"
+
+    def report(done, wanted):
+        if done == 9:
+            (folder / "parts" / ".00001.4711.tmp.h5").write_bytes(b"half")
+
+    make(short, folder, report=report)
+    assert digests(folder) == uninterrupted
+
+
 @pytest.mark.slow
 def test_two_processes_one_of_them_killed_make_the_same_files(short, uninterrupted, tmp_path):
     """A killed process is replaced and its trajectory made again; the other one goes on."""

@@ -99,6 +99,8 @@ def generate(
         failures, work = _make_missing(
             run, folder, trajectories=trajectories, frames=experiment.solver.frames, report=report
         )
+        if cluster is None:  # those of workers that were killed meanwhile
+            remove_leftovers(folder)
         parts = [part for part in finished_parts(folder) if part < trajectories]
         if cluster is not None and not cluster.wait and len(parts) < trajectories:
             return _sent(len(parts), seconds=time.perf_counter() - start)
