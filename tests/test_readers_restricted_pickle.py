@@ -73,6 +73,17 @@ def test_frames_are_the_slices_along_time(
     assert np.array_equal(np.stack(frames), np.moveaxis(array, time_axis, 0))
 
 
+def test_an_array_that_would_be_read_again_and_again_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """Gigabytes that are stored particle after particle; the way out is said."""
+    monkeypatch.setattr("giorom.data.readers.lazy_array.BLOCK_BYTES", 100)
+    value = load_torch_file(written(tmp_path, pickle.dumps(np.zeros((9, 70, 3)))))
+    assert len(list(value.array.frames(time_axis=0))) == 9
+    with pytest.raises(DataError, match="first axis"):
+        list(value.array.frames(time_axis=1))
+
+
 @pytest.mark.parametrize("is_zip", [True, False])
 def test_tensors_come_back(is_zip: bool, tmp_path: Path):
     """torch.save writes, we read: both layouts, views, half widths, permuted axes."""

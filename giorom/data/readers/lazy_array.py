@@ -23,8 +23,11 @@ from giorom.data.readers.byte_source import ByteSource
 
 __all__ = ["LazyArray", "Slice", "StorageSlice", "TensorStorage", "c_order"]
 
-BLOCK_BYTES = 32 << 20
+BLOCK_BYTES = 64 << 20
 """Most memory for a block of frames where time is not the slowest axis."""
+
+MOST_PASSES = 64
+"""Most often an array is gone through; that is 4 GiB."""
 
 STEP_BYTES = 1 << 18
 """Bytes read or decoded at a time."""
@@ -141,6 +144,12 @@ class LazyArray:
         frame_bytes = max(1, outer * inner * self.item_size)
         budget = STEP_BYTES if outer == 1 else BLOCK_BYTES
         block = max(1, budget // frame_bytes)
+        if outer > 1 and memory[slowest] > MOST_PASSES * block:
+            raise DataError(
+                f"an array of shape {self.shape} takes {self.byte_count} bytes and is not stored "
+                f"frame after frame; it would have to be read {memory[slowest] // block} times. "
+                f"Store time as the first axis, in C order."
+            )
         back = np.argsort(self.order, kind="stable")
         reader = _PayloadReader(self)
         for first in range(0, memory[slowest], block):

@@ -19,8 +19,9 @@ __all__ = ["BINGET", "LONG_BINGET", "STOP", "steps"]
 SHORT_TEXT = 256
 """Text up to this many bytes is decoded at once; longer text can only be array bytes."""
 
-MOST_STEPS = 20_000_000
-"""Longest pickle; the largest published file needs half of it."""
+MOST_STEPS, FREE_STEPS, BYTES_PER_STEP = 20_000_000, 2_000_000, 16
+"""Longest pickle: the largest published file needs half of it. A small file may take fewer steps: a
+window of twenty particles has 24 bytes for each."""
 
 STOP, BINGET, LONG_BINGET = 0x2E, 0x68, 0x6A
 
@@ -28,7 +29,8 @@ STOP, BINGET, LONG_BINGET = 0x2E, 0x68, 0x6A
 def steps(source: ByteSource, start: int) -> Iterator[tuple[int, int, Any, int]]:
     """Position, code, argument and end of each opcode up to STOP; payloads are passed over."""
     cursor = Cursor(source, start)
-    for _ in range(MOST_STEPS):
+    most = min(MOST_STEPS, FREE_STEPS + source.size // BYTES_PER_STEP)
+    for _ in range(most):
         position = cursor.position
         code = cursor.take(1)[0]
         reader = ARGUMENTS.get(code)
@@ -42,7 +44,7 @@ def steps(source: ByteSource, start: int) -> Iterator[tuple[int, int, Any, int]]
         if code == STOP:
             return
     raise DataError(
-        f"{source.name}: the pickle takes more than {MOST_STEPS} steps. It is hostile, or too "
+        f"{source.name}: the pickle takes more than {most} steps. It is hostile, or too "
         f"large to be read in one piece; split it."
     )
 
