@@ -108,11 +108,22 @@ def test_types_of_lagrangebench_become_those_of_gns(
     with h5py.File(tmp_path / "train.h5", "a") as file:
         file["00000/particle_type"][:] = stored
         if is_ours:
-            file.attrs["giorom_format_version"] = 1
+            file.attrs["giorom_format_version"], file.attrs["complete"] = 1, True
     (trajectory,) = LAGRANGEBENCH.read(tmp_path / "train.h5")
     assert trajectory.particle_type.tolist() == (stored if is_ours else expected)
     renumbered = any("renumbered" in note for note in trajectory.notes)
     assert renumbered == (not is_ours and stored != expected)
+
+
+def test_a_file_of_ours_that_was_not_finished_is_refused(tmp_path: Path):
+    """Our writer marks a file complete when it closes it."""
+    import h5py
+
+    write(tmp_path / "train.h5", [motion(0)])
+    with h5py.File(tmp_path / "train.h5", "a") as file:
+        file.attrs["giorom_format_version"] = 1
+    with pytest.raises(DataError, match="not written to its end"):
+        read_all(tmp_path / "train.h5")
 
 
 def test_simulations_of_neural_mpm_are_positions_beside_velocities(tmp_path: Path):

@@ -107,6 +107,8 @@ def _files(path: Path) -> list[Path]:
 
 def _read_file(path: Path, metadata: ForeignMetadata) -> Iterator[ForeignTrajectory]:
     with guarded_file(path) as file:
+        if "giorom_format_version" in file.attrs and "complete" not in file.attrs:
+            raise DataError(f"{path} was not written to its end. Remove it and make it again.")
         names = sorted(name for name in file if re.fullmatch(r"[0-9]{5,9}", name))
         is_single = not names and "particles" in file
         if not names and not is_single:
