@@ -22,6 +22,7 @@ import numpy as np
 import torch
 
 from giorom.data.atomic import disk_is_full, replacing
+from giorom.data.hdf5_output import hdf5_output
 from giorom.data.metadata import FORMAT_VERSION, DataError, read_metadata
 from giorom.state import PARTICLE_TYPE_COUNT, Trajectory
 
@@ -186,9 +187,7 @@ def new_trajectory_file(path: Path) -> Iterator[Any]:
     Yields:
         The open ``h5py.File``.
     """
-    import h5py
-
-    with h5py.File(path, "w") as file:
+    with hdf5_output(path) as file:
         file.attrs["giorom_format_version"] = FORMAT_VERSION
         yield file
         file.flush()

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float, Integer
 
 from giorom.data.atomic import replacing
+from giorom.data.hdf5_output import check_written
 from giorom.data.metadata import DataError
 from giorom.data.trajectory_file import CHUNK_BYTES, attributes_text, new_trajectory_file
 
@@ -28,7 +29,7 @@ class TrajectoryWriter:
 
     def __init__(
         self,
-        group: Any,
+        file: Any,
         *,
         particle_type: Integer[np.ndarray, " p"],
         frame_dt: float,
@@ -37,7 +38,8 @@ class TrajectoryWriter:
     ) -> None:
         self.bounds, self.attributes = bounds, attributes
         self.frame_count = 0
-        self._group, self._filled = group, 0
+        group = file.create_group("00000")
+        self._file, self._group, self._filled = file, group, 0
         shape = (len(particle_type), len(bounds))
         frames = max(1, CHUNK_BYTES // max(1, 4 * shape[0] * shape[1]))
         self._block = np.empty((frames, *shape), np.float32)
@@ -91,6 +93,7 @@ class TrajectoryWriter:
         self._position.resize(stored + self._filled, axis=0)
         self._position[stored:] = self._block[: self._filled]
         self._filled = 0
+        check_written(self._file)
 
 
 @contextmanager
@@ -119,7 +122,7 @@ def open_trajectory_writer(
     """
     with replacing(path) as temporary, new_trajectory_file(temporary) as file:
         writer = TrajectoryWriter(
-            file.create_group("00000"),
+            file,
             particle_type=particle_type,
             frame_dt=frame_dt,
             bounds=bounds,

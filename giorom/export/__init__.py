@@ -95,11 +95,12 @@ def check_room(path: Path, header: MotionHeader, *, frames: int) -> None:
         ValueError: If its numbers alone, before any compression, take more than is free.
     """
     above = next(parent for parent in path.absolute().parents if parent.exists())
-    size, free = 4 * frames * header.particle_count * header.dimension, disk_usage(above).free
-    if size > free:
+    size, disk = 4 * frames * header.particle_count * header.dimension, disk_usage(above)
+    if size > disk.free and disk.total > 0:  # file systems of the kernel have no size at all
         raise ValueError(
-            f"{frames} frames of {header.particle_count} particles would take {size >> 30} GiB, "
-            f"but {above} has {free >> 30} GiB free. Ask for fewer frames, or for another place."
+            f"{frames} frames of {header.particle_count} particles would take {size / 2**30:.3g} "
+            f"GiB, but {above} has {disk.free / 2**30:.3g} GiB free. Ask for fewer frames, or for "
+            f"another place."
         )
 
 

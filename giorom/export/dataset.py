@@ -22,6 +22,7 @@ import numpy as np
 import torch
 
 from giorom.data.atomic import replacing_folder, write_json
+from giorom.data.hdf5_output import hdf5_output
 from giorom.data.metadata import read_metadata
 from giorom.data.trajectory_file import CHUNK_BYTES, SPLITS, DataError
 from giorom.data.trajectory_stream import StoredTrajectory, is_ours, stored_trajectories
@@ -97,10 +98,8 @@ def _write_gns(folder: Path, split: str, motions: Sequence[StoredTrajectory]) ->
 
 def _write_lagrangebench(folder: Path, split: str, motions: Sequence[StoredTrajectory]) -> bool:
     """One .h5 of a split, all trajectories cut to the shortest."""
-    import h5py
-
     count = _shortest(motions)
-    with h5py.File(folder / f"{split}.h5", "w") as file:
+    with hdf5_output(folder / f"{split}.h5") as file:
         for index, motion in enumerate(motions):
             _copy_trajectory(file.create_group(f"{index:05d}"), motion, count)
     return True

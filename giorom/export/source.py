@@ -82,7 +82,7 @@ def _ours(
     name = f"{stored.path}[{stored.name}]"
     _check_stride(stride, stored.frame_count, name)
     header = MotionHeader(
-        particle_type=torch.from_numpy(stored.particle_type),
+        particle_type=torch.tensor(stored.particle_type),
         frame_dt=stride * (stored.frame_dt if frame_dt is None else frame_dt),
         bounds=torch.from_numpy(stored.bounds),
         attributes=stored.attributes,
@@ -105,7 +105,7 @@ def _foreign(motion: ForeignTrajectory, *, stride: int, frame_dt: float | None) 
         _check_stride(stride, motion.frame_count, motion.name)
     bounds = _measured_bounds(motion) if motion.bounds is None else motion.bounds
     header = MotionHeader(
-        particle_type=torch.from_numpy(motion.particle_type),
+        particle_type=torch.tensor(motion.particle_type),
         frame_dt=stride * step,
         bounds=torch.from_numpy(bounds.astype(np.float32)),
         attributes={"source": motion.name},

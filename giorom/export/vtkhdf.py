@@ -17,6 +17,7 @@ import numpy as np
 from torch import Tensor
 
 from giorom.data.atomic import replacing
+from giorom.data.hdf5_output import check_written, hdf5_output
 from giorom.export.scene import in_space
 from giorom.export.writer import MotionHeader, PointWriter
 
@@ -42,6 +43,7 @@ class VtkHdfWriter(PointWriter):
     def __init__(self, file: Any, header: MotionHeader) -> None:
         super().__init__(header)
         particles = header.particle_count
+        self._file = file
         self._root = root = file.create_group("VTKHDF", track_order=True)
         root.attrs["Version"] = np.array(VERSION, dtype=np.int64)
         root.attrs.create("Type", b"PolyData", dtype=_fixed_text(len("PolyData")))
@@ -57,6 +59,7 @@ class VtkHdfWriter(PointWriter):
         _extend(self._points, in_space(position))
         for name, values in numbers.items():
             _extend(self._numbers[name], values.numpy())
+        check_written(self._file)
 
     def _complete(self) -> None:
         _write_steps(self._root, self.frame_count, self.header, self._names)
@@ -73,9 +76,7 @@ def vtkhdf_writer(path: Path, header: MotionHeader) -> Iterator[VtkHdfWriter]:
     Yields:
         The writer.
     """
-    import h5py
-
-    with replacing(path) as temporary, h5py.File(temporary, "w") as file:
+    with replacing(path) as temporary, hdf5_output(temporary) as file:
         yield VtkHdfWriter(file, header)
 
 
