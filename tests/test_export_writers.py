@@ -1,5 +1,8 @@
 """Every writer keeps the same contract; what it writes is read back by another library."""
 
+import os
+import subprocess
+import sys
 import tracemalloc
 from itertools import islice
 
@@ -9,6 +12,7 @@ import torch
 
 from giorom.export import EXTENSIONS, MotionHeader, check_room, open_writer, written_path
 from giorom.export.gns import StoredMotion, write_gns_file
+from giorom.export.video import _check_film
 from giorom.state import ELASTIC, KINEMATIC, WATER
 
 FRAME_DT = 2.5e-3
@@ -306,3 +310,63 @@ def test_a_motion_larger_than_the_disk_is_refused(tmp_path):
     with pytest.raises(ValueError, match="GiB free"):
         check_room(tmp_path / "new" / "a.h5", make_header(), frames=10**15)
     assert list(tmp_path.iterdir()) == []
+
+
+FULL_DISK = """
+import resource, sys, torch
+from pathlib import Path
+from giorom.export import MotionHeader, open_writer
+resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))
+header = MotionHeader(
+    particle_type=torch.full((2000,), 5), frame_dt=0.1, bounds=torch.tensor([[0.0, 1.0]] * 3)
+)
+for extension in sys.argv[1:]:
+    frames = 0
+    try:
+        with open_writer(Path("a" + extension), header) as writer:
+            for frames in range(50):
+                writer.append(torch.rand(2000, 3))
+    except OSError as error:
+        print(extension, "\\n" in str(error), frames < 49)
+"""
+
+
+def test_a_full_disk_is_an_error_and_not_a_crash(tmp_path):
+    """The system refuses to make files larger than 200 kB; 1.2 MB are written to each.
+
+    Nothing is left, and the process ends well (HDF5 would crash at exit). The formats that keep
+    nothing say so before the last frame.
+    """
+    pytest.importorskip("resource")
+    pytest.importorskip("pxr")
+    extensions = [".h5", ".vtkhdf", ".npz", ".usdc", ".usda"]
+    done = subprocess.run(  # noqa: S603
+        [sys.executable, "-c", FULL_DISK, *extensions],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join([os.getcwd(), *sys.path])},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    found = {line.split()[0]: line.split()[1:] for line in done.stdout.splitlines()}
+    assert list(found) == extensions
+    assert {lines for lines, _ in found.values()} == {"False"}
+    assert found[".npz"] == ["False", "True"]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_film_that_was_cut_off_is_noticed(tmp_path):
+    """The encoder reports no failure: every shorter file is refused."""
+
+    def box(kind: bytes, content: bytes) -> bytes:
+        return (8 + len(content)).to_bytes(4, "big") + kind + content
+
+    film = box(b"ftyp", b"isom") + box(b"moov", b"index") + box(b"mdat", b"pictures")
+    path = tmp_path / "a.mp4"
+    path.write_bytes(film)
+    _check_film(path)
+    for length in range(len(film)):
+        path.write_bytes(film[:length])
+        with pytest.raises(OSError, match="disk full"):
+            _check_film(path)

@@ -8,6 +8,9 @@ The binary layer is saved every ``SAVE_BYTES``, after which USD drops the sample
 (``.usda``) is made from such a layer at the end.
 """
 
+import itertools
+import os
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -39,6 +42,10 @@ TYPE_COLORS = (
     (0.80, 0.35, 0.30),
 )
 """Display colour (linear RGB) of each GNS particle type: 3 kinematic grey, 5 water blue ..."""
+
+
+_NUMBERS = itertools.count()
+"""USD knows a layer by its path as long as anybody holds it, so that no two may share one."""
 
 
 class UsdWriter(PointWriter):
@@ -102,20 +109,26 @@ def usd_writer(path: Path, header: MotionHeader) -> Iterator[UsdWriter]:
     Yields:
         The writer.
     """
-    from pxr import Usd
+    from pxr import Tf, Usd
 
     with replacing(path) as temporary:
-        text = path.suffix.lower() == ".usda"
-        binary = temporary.with_suffix(".usdc") if text else temporary
+        binary = temporary.with_suffix(f".{next(_NUMBERS)}.usdc")
         try:
             stage = Usd.Stage.CreateNew(str(binary))
             yield UsdWriter(stage, header)
-            if text:
+            if path.suffix.lower() == ".usda":
                 stage.GetRootLayer().Export(str(temporary))
+            else:
+                os.replace(binary, temporary)
+        except Tf.ErrorException as error:
+            said = re.findall(r" : '(.*?)'(?: Error in|$)", " ".join(str(error).split()))
+            raise OSError(
+                f"USD cannot write {path} ({said[0][:200] if said else 'no reason given'}). Is the "
+                f"disk full, or the folder closed to you?"
+            ) from None
         finally:
             stage = None
-            if text:
-                binary.unlink(missing_ok=True)
+            binary.unlink(missing_ok=True)
 
 
 def _define(stage: Any, header: MotionHeader) -> Any:

@@ -6,7 +6,9 @@ size, which every player opens; a contact sheet shows a few frames in one PNG. F
 one by one wait on the disk, because the camera and the colours need the whole motion.
 """
 
+import io
 import math
+import struct
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -75,6 +77,8 @@ def write_film(
                 panel.show(frame)
             clock.SetInput(_time(trajectory, frame))
             encoder.send(drawing.image())
+        encoder.close()
+        _check_film(temporary)
     return path
 
 
@@ -192,6 +196,22 @@ def _encoder(path: Path, size: tuple[int, int], frame_rate: int) -> Iterator[Any
         yield encoder
     finally:
         encoder.close()
+
+
+def _check_film(path: Path) -> None:
+    """Raise if the encoder, which does not say so, could not write the film to its end.
+
+    An MP4 file is a row of boxes, each beginning with its length; ``moov`` is the index.
+    """
+    size, offset, kinds = path.stat().st_size if path.exists() else 0, 0, []
+    with path.open("rb") if size else io.BytesIO() as file:
+        while offset + 8 <= size:
+            file.seek(offset)
+            length, kind, wide = struct.unpack(">I4sQ", file.read(16).ljust(16, b"\0"))
+            offset += wide if length == 1 else max(length, 8)
+            kinds.append(kind)
+    if offset != size or b"moov" not in kinds or b"mdat" not in kinds:
+        raise OSError(f"the encoder could not write the film {path.name}. Is the disk full?")
 
 
 def _shrink(image: np.ndarray, factor: int) -> np.ndarray:
