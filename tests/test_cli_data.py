@@ -4,7 +4,9 @@ The keys are those other programs rely on.
 """
 
 import json
+import os
 import shutil
+import signal
 from dataclasses import replace
 
 import numpy as np
@@ -218,19 +220,23 @@ def test_a_truncated_data_set_is_refused(data_folder, refuse, tmp_path):
     assert not (tmp_path / "set").exists()
 
 
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_import_leaves_with_130_and_says_that_nothing_is_left(
-    data_folder, tmp_path, capsys, monkeypatch
+    number, data_folder, tmp_path, capsys, monkeypatch
 ):
+    """By the keyboard and by a batch system; afterwards the signal is handled as before."""
     from giorom.data import importing
 
     def interrupted(*_, **__):
-        raise KeyboardInterrupt
+        os.kill(os.getpid(), number)
 
+    before = signal.getsignal(signal.SIGTERM)
     monkeypatch.setattr(importing, "assemble_dataset", interrupted)
     words = ["import", str(data_folder), "--out", str(tmp_path / "set"), "--quiet"]
     assert main(words) == 130
     assert "nothing was left" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
+    assert signal.getsignal(signal.SIGTERM) == before
 
 
 # Training on imported data.

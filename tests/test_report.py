@@ -443,6 +443,17 @@ def test_statistics_of_the_file_are_compared_with_measured_ones():
     assert "per second and not per frame" in only(found(200.0, 4e4), "contradict")
 
 
+def test_statistics_of_the_file_have_a_column_only_where_they_differ():
+    measured = report_of(*three()).facts["statistics"]
+    stated = Statistics.from_metadata(measured)
+    other = Statistics.from_metadata(measured | {"acc_std": [2.0, 2.0, 2.0]})
+    for statistics, shown in ((stated, False), (other, True)):
+        origin = Origin(format="test", source="cloud", file_statistics=statistics)
+        header, rows = statistics_rows(report_of(*three(), origin=origin))
+        assert ("in the file" in header) == shown
+        assert {len(row) for row in rows} == {len(header)}
+
+
 def test_statistics_of_the_file_are_not_compared_with_a_part_of_it():
     stated = Statistics.from_metadata(
         {k: [1.0] * 3 for k in ("vel_mean", "vel_std", "acc_mean", "acc_std")}

@@ -47,12 +47,25 @@ def statistics_rows(report: Report) -> tuple[tuple[str, ...], list[tuple[str, ..
     """Header and rows of the statistics: measured, in SI, of the file, of published sets."""
     statistics = report.facts["statistics"]
     columns = [("per frame", statistics), ("per second", statistics.get("si"))]
-    columns.append(("in the file", statistics.get("file")))
+    if not _agree(statistics, statistics.get("file")):
+        columns.append(("in the file", statistics.get("file")))
     columns += [(row["name"], row["statistics"]) for row in report.facts["published"]]
     known = [(title, values) for title, values in columns if values]
     header = ("", *(title for title, _ in known))
     rows = [(label, *(_vector(values[key]) for _, values in known)) for label, key in STATISTICS]
     return header, rows if known else []
+
+
+def _agree(measured: dict[str, Any], file: dict[str, Any] | None) -> bool:
+    """Whether the file says what was measured, so that its numbers need no column."""
+    if not file or not measured or len(file["acc_std"]) != len(measured["acc_std"]):
+        return False
+    pairs = [
+        (a, b)
+        for key in ("vel_std", "acc_std")
+        for a, b in zip(measured[key], file[key], strict=True)
+    ]
+    return all(abs(a - b) <= 1e-3 * abs(b) for a, b in pairs)
 
 
 def markdown(report: Report) -> str:
