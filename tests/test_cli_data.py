@@ -158,6 +158,43 @@ def test_inspect_draws_without_a_display(source, succeed, tmp_path, monkeypatch)
     assert (result["trajectories"], again["trajectories"]) == (2, 6)
 
 
+@pytest.fixture
+def arrays(tmp_path):
+    """Twelve motions of somebody's solver as NumPy files, in folders that say the split."""
+    rng = np.random.default_rng(0)
+    for number in range(12):
+        folder = tmp_path / "arrays" / ("test" if number > 9 else "train")
+        folder.mkdir(parents=True, exist_ok=True)
+        time = 0.01 * np.arange(15)[:, None, None]
+        start, velocity = rng.random((40, 2)), 0.2 * rng.standard_normal((40, 2))
+        position = start + velocity * time + 0.5 * np.array([0.0, -9.81]) * time**2
+        np.save(folder / f"run{number}_0.npy", position)
+    return tmp_path / "arrays"
+
+
+def test_a_foreign_source_needs_what_it_does_not_say(arrays, succeed, refuse, tmp_path):
+    """Without --frame-dt one line that names it; with it a data set with all three parts."""
+    assert "--frame-dt SECONDS" in refuse("import", arrays, "--out", tmp_path / "set")
+    assert not (tmp_path / "set").exists()
+    words = ("import", arrays, "--frame-dt", 0.01, "--out", tmp_path / "set")
+    result, _ = succeed(*words)
+    assert result["format"] == "npy"
+    assert result["splits"] == {"train": 9, "valid": 1, "test": 2}
+    np.testing.assert_allclose(result["gravity"], [0.0, -9.81], rtol=1e-3)
+    position = read_trajectory(tmp_path / "set", "test", 0).position
+    expected = np.load(arrays / "test" / "run10_0.npy").astype(np.float32)
+    assert np.array_equal(position.numpy(), expected)
+
+
+def test_inspecting_a_foreign_folder_does_not_change_what_it_is(arrays, succeed):
+    """The results lie inside it, and the next look sees the same motions."""
+    first, _ = succeed("inspect", arrays, "--limit", 3)
+    assert "is not known" in first["suspicious"][0]
+    again, _ = succeed("inspect", arrays, "--limit", 3, "--frame-dt", 0.01, "--no-pictures")
+    assert (first["format"], first["extent"]) == (again["format"], again["extent"])
+    assert (arrays / "inspect" / "motions.png").is_file()
+
+
 def test_inspect_takes_a_single_file(source, succeed, data_folder, tmp_path):
     shutil.copy(data_folder / "test.h5", tmp_path / "one.h5")
     result, _ = succeed("inspect", tmp_path / "one.h5", "--no-pictures")

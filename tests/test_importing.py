@@ -12,6 +12,7 @@ from giorom.data.conversion import Conversion, converted
 from giorom.data.importing import ImportOptions, import_trajectories
 from giorom.data.metadata import DataError, read_metadata
 from giorom.data.own_dataset import is_own, own_trajectories
+from giorom.data.readers import from_arrays
 from giorom.data.readers.source import ForeignTrajectory
 from giorom.data.report import Origin
 from giorom.data.statistics import Statistics, measure_statistics
@@ -367,6 +368,18 @@ def test_progress_hears_of_every_frame(tmp_path):
     heard = []
     load([foreign(i) for i in range(3)], tmp_path / "set", progress=lambda *a: heard.append(a))
     assert heard == [(f"file[{i}]", 1) for i in range(3) for _ in range(14)]
+
+
+def test_arrays_of_a_program_become_a_data_set(tmp_path):
+    """Generators that are read once are enough."""
+    source = (
+        from_arrays(iter(positions(i)), frame_dt=FRAME_DT, name=f"run {i}", bounds=BOX)
+        for i in range(4)
+    )
+    load(source, tmp_path / "set")
+    found = stored(tmp_path / "set")
+    for number in range(4):
+        assert np.array_equal(found[f"run {number}"].position.numpy(), positions(number))
 
 
 # Our own data as a source.
