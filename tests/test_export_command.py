@@ -246,10 +246,42 @@ def test_what_a_foreign_file_lacks_is_said(foreign, refuse, out):
     path, _ = foreign()
     assert "--frame-dt" in refuse("export", path, out / "a.h5")
     words = ("export", path, out / "a.h5", "--frame-dt", 1, "--trajectory", 2)
-    assert "it holds 2" in refuse(*words)
-    path, _ = foreign(split="train")
-    assert "another split" in refuse("export", path, out / "a.h5", "--frame-dt", 1)
+    assert "it holds 2 trajectories" in refuse(*words)
     assert not out.exists()
+
+
+def test_a_foreign_folder_has_splits_and_a_file_is_one(data_folder, succeed, refuse, out):
+    """Exported to GNS and back: the split of a file needs no naming."""
+    succeed("export", data_folder, out / "gns", "--layout", "gns")
+    for source, options in (
+        (out / "gns", ("--split", "train")),
+        (out / "gns" / "train.npz", ()),
+    ):
+        succeed("export", source, out / "a.h5", "--trajectory", 1, *options)
+        original = read_trajectory(data_folder, "train", 1)
+        copy = read_trajectory_file(out / "a.h5")
+        assert torch.equal(copy.position, original.position)
+        assert torch.equal(copy.particle_type, original.particle_type)
+        assert copy.frame_dt == original.frame_dt
+    (out / "gns" / "test.npz").unlink()
+    assert "4 train" in refuse("export", out / "gns", out / "b.h5")
+
+
+def test_a_lagrangebench_folder_comes_back_with_its_walls(moving, succeed, out):
+    """Types 1 and 2 there are 3 here."""
+    succeed("export", moving, out / "lb", "--layout", "lagrangebench")
+    succeed("export", out / "lb", out / "a.h5")
+    original, copy = read_trajectory(moving, "test", 0), read_trajectory_file(out / "a.h5")
+    assert torch.equal(copy.position, original.position)
+    assert torch.equal(copy.particle_type, original.particle_type)
+    assert "import" in refuse_layout(out / "lb", out / "b")
+
+
+def refuse_layout(source, target) -> str:
+    """What is said of a foreign data set."""
+    with pytest.raises(ValueError, match="foreign data set") as caught:
+        export_dataset(source, target, layout="gns")
+    return str(caught.value)
 
 
 @pytest.mark.parametrize(

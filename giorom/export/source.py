@@ -15,6 +15,7 @@ from torch import Tensor
 
 from giorom.data.metadata import DataError
 from giorom.data.readers import READERS, ForeignTrajectory, Reader, detect_format
+from giorom.data.trajectory_file import SPLITS
 from giorom.data.trajectory_stream import find_stored, is_ours
 from giorom.export.writer import MotionHeader
 from giorom.records import nearest
@@ -130,17 +131,17 @@ def _named(name: str) -> Reader:
 
 
 def _pick(path: Path, reader: Reader, *, split: str, index: int) -> ForeignTrajectory:
-    """The trajectory of that number; the split counts where the source has splits."""
-    count = 0
+    """The trajectory of that number; in a folder, of that split where the source has splits."""
+    wanted = {None, split} if path.is_dir() else {None, *SPLITS}
+    counts: dict[str | None, int] = {}
     for motion in reader.read(path):
-        if motion.split not in (None, split):
-            continue
-        if count == index:
+        if motion.split in wanted and sum(counts.get(name, 0) for name in wanted) == index:
             return motion
-        count += 1
+        counts[motion.split] = counts.get(motion.split, 0) + 1
+    held = ", ".join(f"{count} {name or 'trajectories'}" for name, count in counts.items())
     raise DataError(
-        f"{path} has no trajectory {index}; it holds {count}, numbered from 0. Ask for a number "
-        f"below {count}, or for another split."
+        f"{path} has no trajectory {index}{f' of {split}' if path.is_dir() else ''}; it holds "
+        f"{held or 'none'}, numbered from 0. Ask for a lower number, or for another split."
     )
 
 
