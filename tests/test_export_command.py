@@ -1,6 +1,7 @@
 """``giorom export`` and ``giorom rollout``: between formats, whole data sets, and refusals."""
 
 import json
+import os
 import shutil
 
 import numpy as np
@@ -327,6 +328,16 @@ def test_places_where_nothing_can_be_written_are_refused(refuse, data_folder, mo
     assert "names no format" in refuse("export", moving, out / "a.vtk")
     assert "/dev/full is a file" in refuse("export", moving, "/dev/full/a.h5")
     assert before == {path: path.stat().st_mtime_ns for path in moving.rglob("*")}
+    assert not out.exists()
+
+
+def test_a_folder_closed_to_the_user_is_refused(refuse, data_folder, out, monkeypatch):
+    """Before the work; nobody may write into it, not even a new folder."""
+    monkeypatch.setattr(os, "access", lambda path, mode, **_: path != out.parent)
+    for name in ("a.h5", "new/a.ply"):
+        assert "does not let you write" in refuse("export", data_folder, out / name)
+    words = ("export", data_folder, out, "--layout", "gns")
+    assert "does not let you write" in refuse(*words)
     assert not out.exists()
 
 

@@ -145,7 +145,8 @@ def check_output(path: Path, *, folder: bool) -> Path:
     above = next((parent for parent in path.parents if parent.exists()), None)
     if above is not None and not above.is_dir():
         raise ValueError(f"{path} cannot be made: {above} is a file, not a folder.")
-    if above is not None and not os.access(above, os.W_OK):
+    effective = os.access in os.supports_effective_ids
+    if above is not None and not os.access(above, os.W_OK, effective_ids=effective):
         raise ValueError(f"{path} cannot be made: {above} does not let you write into it.")
     return path
 
