@@ -141,8 +141,8 @@ def deposit(across: np.ndarray, up: np.ndarray, *, piece: float) -> Curve:
     """
     strip = np.floor(across / BIN).astype(int)
     depth = np.bincount(strip[strip >= 0], minlength=MOST_STRIPS) * piece / BIN
-    even = np.convolve(depth, np.ones(3) / 3.0, "same")
-    length = int(np.flatnonzero((even < THIN) & (np.arange(len(even)) > 0))[0])
+    reach = edge(np.convolve(depth, np.ones(3) / 3.0, "same"))
+    length = round(reach / BIN)
     # 95 % of the particles of a strip of even depth are below 95 % of it.
     surface = [
         np.quantile(up[strip == k], 0.95) / 0.95 if depth[k] > 0.0 else 0.0 for k in range(length)
@@ -150,9 +150,16 @@ def deposit(across: np.ndarray, up: np.ndarray, *, piece: float) -> Curve:
     return {
         "distance": (np.arange(len(depth)) + 0.5) * BIN,
         "depth": depth,
-        "reach": length * BIN,
+        "reach": reach,
         "area": float(np.sum(surface)) * BIN,
     }
+
+
+def edge(depth: np.ndarray) -> float:
+    """Where the depth of strips first falls to ``THIN``, between the middles of two strips."""
+    outer = int(np.flatnonzero((depth < THIN) & (np.arange(len(depth)) > 1))[0])
+    above, below = float(depth[outer - 1]), float(depth[outer])
+    return (outer - 0.5 + (above - THIN) / (above - below)) * BIN
 
 
 def summit(distance: np.ndarray, up: np.ndarray, spacing: float) -> float:

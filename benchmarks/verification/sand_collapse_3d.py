@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.verification.case import COLOURS, GREY, Case, Outcome, Row, blank
-from benchmarks.verification.sand import BIN, THIN, Curve, come_to_rest, summit
+from benchmarks.verification.sand import BIN, Curve, come_to_rest, edge, summit
 from benchmarks.verification.world import block
 
 FRICTION_ANGLE = 31.0
@@ -61,7 +61,7 @@ def column_3d(aspect: float, *, grid_cells: int, friction_angle: float) -> Curve
     depth = np.histogram(away, edges)[0] * (spacing / radius) ** 3 / ring
     return {
         "aspect": aspect,
-        "runout": float(edges[np.flatnonzero(depth < THIN)[0]]) - 1.0,
+        "runout": edge(depth) - 1.0,
         "height": summit(away, up, spacing / radius),
         "distance": edges[:-1] + BIN / 2.0,
         "depth": depth,
@@ -80,12 +80,13 @@ def lube(aspect: float) -> tuple[float, float]:
 def measure(*, quick: bool = False) -> Outcome:
     """Columns of three heights on two grids, and sand of 31 degrees in the plane."""
     aspects = (1.0,) if quick else tuple(RADII)
-    grids = (32,) if quick else (32, 48)
     flat = triaxial_angle(FRICTION_ANGLE)
+    series = ((FRICTION_ANGLE, 48), (FRICTION_ANGLE, 64), (flat, 64))
+    if quick:
+        series = ((FRICTION_ANGLE, 32), (flat, 32))
     runs = [
         column_3d(aspect, grid_cells=cells, friction_angle=angle)
-        for angle in (FRICTION_ANGLE, flat)
-        for cells in grids
+        for angle, cells in series
         for aspect in aspects
     ]
     rows = [row for run in runs for row in rows_of(run)]
