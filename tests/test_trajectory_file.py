@@ -17,6 +17,8 @@ from giorom.data.trajectory_file import (
     trajectory_count,
     write_trajectory_file,
 )
+from giorom.data.trajectory_stream import find_stored
+from giorom.data.trajectory_writer import open_trajectory_writer
 from giorom.data.work_folder import (
     assemble_dataset,
     finished_parts,
@@ -290,12 +292,110 @@ def test_wrong_contents_are_refused(tmp_path, key, value, message):
         read_trajectory_file(path)
 
 
+def _metadata_text(**changes):
+    known = {"bounds": [[0, 1], [0, 1]], "dim": 2, "dt": 0.1, "sequence_length": 4}
+    return json.dumps(known | {"default_connectivity_radius": 0.03} | changes)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("frame_dt", [0.1, 0.2], "no numbers"),
+        ("frame_dt", "soon", "no numbers"),
+        ("frame_dt", np.nan, "frame_dt=nan"),
+        ("frame_dt", -1.0, "frame_dt=-1.0"),
+        ("bounds", [[0.0, np.inf], [0.0, 1.0]], "must be finite"),
+        ("attributes", 5, "no JSON object"),
+        ("attributes", "[1]", "no JSON object"),
+    ],
+)
+def test_wrong_attributes_are_refused(tmp_path, name, value, message):
+    """They are a stranger's numbers as much as the positions are."""
+    path = tmp_path / "one.h5"
+    write_trajectory_file(make_trajectory(), path)
+    with h5py.File(path, "r+") as file:
+        file["00000"].attrs[name] = value
+    with pytest.raises(DataError, match=message):
+        find_stored(path, split="train", index=0)
+
+
+@pytest.mark.parametrize("key", ["00000", "00000/position"])
+@pytest.mark.parametrize("way", ["external", "soft"])
+def test_links_are_not_followed(tmp_path, key, way):
+    """A file of ours holds its own numbers; a link would read whatever it names."""
+    path, other = tmp_path / "one.h5", tmp_path / "other.h5"
+    for name in (path, other):
+        write_trajectory_file(make_trajectory(), name)
+    with h5py.File(path, "r+") as file:
+        file.move(key, "elsewhere")
+        file[key] = (
+            h5py.SoftLink("/elsewhere") if way == "soft" else h5py.ExternalLink(str(other), key)
+        )
+        if way == "external":
+            del file["elsewhere"]
+    with pytest.raises(DataError, match=r"as a link|its entries are"):
+        find_stored(path, split="train", index=0)
+
+
+def test_numbers_in_other_files_are_not_read(tmp_path):
+    """HDF5 maps any file as an array (external storage), a stranger's choice of which."""
+    path, secret = tmp_path / "one.h5", tmp_path / "secret"
+    secret.write_bytes(bytes(4 * 12 * 30 * 2))
+    write_trajectory_file(make_trajectory(), path)
+    with h5py.File(path, "r+") as file:
+        del file["00000/position"]
+        file["00000"].create_dataset(
+            "position", (12, 30, 2), np.float32, external=[(str(secret), 0, secret.stat().st_size)]
+        )
+    with pytest.raises(DataError, match="lies in other files"):
+        find_stored(path, split="train", index=0)
+
+
+def test_a_shape_that_no_file_of_that_size_can_hold_is_refused(tmp_path):
+    """Deflate packs 1032 to 1 at most; blocks that were never written cost a file nothing."""
+    path, particles = tmp_path / "one.h5", 10**11
+    write_trajectory_file(make_trajectory(), path)
+    with h5py.File(path, "r+") as file:
+        group, options = file["00000"], {"compression": "gzip"}
+        del group["position"], group["particle_type"]
+        group.create_dataset("position", (9, particles, 2), "f4", chunks=(1, 99, 2), **options)
+        group.create_dataset("particle_type", (particles,), "i4", chunks=(99,), **options)
+    with pytest.raises(DataError, match="which its file cannot hold"):
+        find_stored(path, split="train", index=0)
+
+
+def test_a_body_at_rest_is_read_however_well_it_packs(tmp_path):
+    """Equal frames pack a thousandfold and are sound; the limit is deflate's own."""
+    path, frames, count = tmp_path / "still.h5", 3000, 3000
+    still, types = np.zeros((count, 2), np.float32), np.full(count, SAND)
+    walls = np.array([[0.0, 1.0]] * 2, np.float32)
+    with open_trajectory_writer(path, particle_type=types, frame_dt=0.1, bounds=walls) as writer:
+        for _ in range(frames):
+            writer.append(still)
+    assert 500 * path.stat().st_size < frames * still.nbytes
+    assert find_stored(path, split="train", index=0).frame_count == frames
+
+
+@pytest.mark.parametrize("kind", [1, 2])
+def test_walls_in_lagrangebenchs_numbering_are_refused(tmp_path, kind):
+    """Types 1 and 2 are walls there; read as they stand they would move freely."""
+    with h5py.File(tmp_path / "train.h5", "w") as file:
+        file["00000/position"] = np.zeros((5, 4, 2), np.float32)
+        file["00000/particle_type"] = np.array([0, 0, kind, 0])
+    (tmp_path / "metadata.json").write_text(_metadata_text())
+    with pytest.raises(DataError, match=r"wall in LagrangeBench's numbering .* 'giorom import'"):
+        read_trajectory(tmp_path, "train", 0)
+
+
 @pytest.mark.parametrize(
     ("content", "message"),
     [
         ("{", "not readable JSON"),
         ("[]", "must hold a JSON object"),
         ('{"dim": 2}', "lacks bounds, sequence_length"),
+        ("[" * 100_000, "not readable JSON"),
+        (_metadata_text(format_version="new"), "format version new"),
+        (_metadata_text(bounds=1), "dim=2 with 0 bounds"),
     ],
 )
 def test_wrong_metadata_are_refused(tmp_path, content, message):

@@ -43,7 +43,7 @@ def read_metadata(folder: Path) -> dict[str, Any]:
             f"{folder} has no metadata.json, so it is no finished data set: that file is "
             f"written last. Run the command that makes the data again; it continues."
         ) from None
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise DataError(f"{path} is not readable JSON ({error}). Restore or remake it.") from None
     _check_metadata(metadata, path)
     return metadata
@@ -56,13 +56,15 @@ def _check_metadata(metadata: Any, path: Path) -> None:
     missing = [key for key in REQUIRED_KEYS if key not in metadata]
     if missing:
         raise DataError(f"{path} lacks {', '.join(missing)}. It is no metadata of a data set.")
-    if metadata.get("format_version", 0) > FORMAT_VERSION:
+    version = metadata.get("format_version", 0)
+    if not isinstance(version, int) or version > FORMAT_VERSION:
         raise DataError(
-            f"{path} has format version {metadata['format_version']}, this program reads up to "
+            f"{path} has format version {str(version)[:40]}, this program reads up to "
             f"{FORMAT_VERSION}. Install a newer giorom."
         )
-    if metadata["dim"] not in (2, 3) or len(metadata["bounds"]) != metadata["dim"]:
+    bounds = metadata["bounds"] if isinstance(metadata["bounds"], list) else []
+    if metadata["dim"] not in (2, 3) or len(bounds) != metadata["dim"]:
         raise DataError(
-            f"{path} says dim={metadata['dim']!r} with {len(metadata['bounds'])} bounds; dim must "
-            f"be 2 or 3 with one [lower, upper] per axis."
+            f"{path} says dim={metadata['dim']!r} with {len(bounds)} bounds; dim must be 2 or 3 "
+            f"with one [lower, upper] per axis."
         )

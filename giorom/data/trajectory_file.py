@@ -14,7 +14,6 @@ of the HDF5 library never leaves this module. Positions are metres and are store
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +23,8 @@ import torch
 from giorom.data.atomic import disk_is_full, replacing
 from giorom.data.hdf5_output import hdf5_output
 from giorom.data.metadata import FORMAT_VERSION, DataError, read_metadata
-from giorom.state import PARTICLE_TYPE_COUNT, Trajectory
+from giorom.data.trajectory_group import group_header
+from giorom.state import Trajectory
 
 __all__ = [
     "FORMAT_VERSION",
@@ -46,17 +46,6 @@ CHUNK_BYTES = 1 << 20
 
 ATTRIBUTE_BYTES = 60_000
 """Most bytes of JSON per trajectory; HDF5 stores an attribute in one 64 KiB header."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class GroupHeader:
-    """One trajectory of an open file: ``position`` is the HDF5 data set, unread."""
-
-    position: Any
-    particle_type: np.ndarray
-    frame_dt: float
-    bounds: np.ndarray
-    attributes: dict[str, Any]
 
 
 def write_trajectory_file(trajectory: Trajectory, path: Path) -> None:
@@ -231,9 +220,9 @@ def _check_header(file: Any, path: Path) -> None:
     version = file.attrs.get("giorom_format_version")
     if version is None:
         return
-    if int(version) > FORMAT_VERSION:
+    if not isinstance(version, int | np.integer) or version > FORMAT_VERSION:
         raise DataError(
-            f"{path} has format version {int(version)}, this program reads up to "
+            f"{path} has format version {str(version)[:40]}, this program reads up to "
             f"{FORMAT_VERSION}. Install a newer giorom."
         )
     if not bool(file.attrs.get("complete", False)):
@@ -310,85 +299,6 @@ def _read_group(
         )
     except ValueError as error:
         raise DataError(f"{path}[{name}]: {error}") from None
-
-
-def group_header(
-    file: Any, name: str, *, path: Path, metadata: dict[str, Any] | None
-) -> GroupHeader:
-    """Check one trajectory of an open file and say what it is, its positions unread."""
-    position, particle_type = _checked_arrays(file[name], f"{path}[{name}]")
-    if metadata is not None and position.shape[2] != metadata["dim"]:
-        raise DataError(
-            f"{path}[{name}] is {position.shape[2]}-dimensional, but metadata.json beside it says "
-            f"dim={metadata['dim']}. The files belong to different data sets."
-        )
-    frame_dt, bounds, attributes = _scene(file[name], metadata, f"{path}[{name}]")
-    if bounds.shape != (position.shape[2], 2):
-        raise DataError(
-            f"{path}[{name}] has bounds of shape {bounds.shape}, which must be (dim, 2)."
-        )
-    return GroupHeader(
-        position=position,
-        particle_type=particle_type[:].astype(np.int64),
-        frame_dt=frame_dt,
-        bounds=bounds,
-        attributes=attributes,
-    )
-
-
-def _checked_arrays(group: Any, where: str) -> tuple[Any, Any]:
-    """The two data sets of a group, unread, with the types and shapes of the format."""
-    import h5py
-
-    for key in ("position", "particle_type"):
-        if not isinstance(group, h5py.Group) or not isinstance(group.get(key), h5py.Dataset):
-            raise DataError(f"{where} has no '{key}'. It is no trajectory file or a damaged one.")
-    position, particle_type = group["position"], group["particle_type"]
-    if position.dtype != np.float32 or position.ndim != 3 or position.shape[2] not in (2, 3):
-        raise DataError(
-            f"{where}/position is {position.dtype} of shape {position.shape}; it must be float32 "
-            f"of shape (frames, particles, 2 or 3). Convert it with 'giorom import'."
-        )
-    if 0 in position.shape:
-        raise DataError(f"{where}/position is empty: its shape is {position.shape}. Remake it.")
-    if particle_type.dtype.kind not in "iu" or particle_type.shape != position.shape[1:2]:
-        raise DataError(
-            f"{where}/particle_type is {particle_type.dtype} of shape {particle_type.shape}; it "
-            f"must be one integer for each of the {position.shape[1]} particles."
-        )
-    types = particle_type[:]
-    wrong = types[(types < 0) | (types >= PARTICLE_TYPE_COUNT)]
-    if len(wrong):
-        raise DataError(
-            f"{where}/particle_type holds {int(wrong[0])}; types lie between 0 and "
-            f"{PARTICLE_TYPE_COUNT - 1} (GNS convention). Renumber them."
-        )
-    return position, particle_type
-
-
-def _scene(
-    group: Any, metadata: dict[str, Any] | None, where: str
-) -> tuple[float, Any, dict[str, Any]]:
-    """Frame time [s], walls [m] and attributes: the group's own, else the data set's."""
-    known = group.attrs
-    if metadata is None and not {"frame_dt", "bounds"} <= set(known):
-        raise DataError(
-            f"{where} lacks the attributes frame_dt and bounds. Put a metadata.json beside it "
-            f"and read it as a data set, or convert it with 'giorom import'."
-        )
-    given = metadata or {}
-    frame_dt = known["frame_dt"] if "frame_dt" in known else _foreign_frame_dt(given)
-    bounds = known["bounds"] if "bounds" in known else given["bounds"]
-    try:
-        attributes = json.loads(known.get("attributes", "{}"))
-    except ValueError:
-        raise DataError(f"{where} has attributes that are no JSON. Remake the file.") from None
-    return float(frame_dt), np.asarray(bounds, dtype=np.float64), attributes
-
-
-def _foreign_frame_dt(metadata: dict[str, Any]) -> float:
-    """Frame time of a LagrangeBench set, whose ``dt`` is the solver's step."""
-    return float(metadata["dt"]) * float(metadata.get("write_every", 1))
 
 
 def _one_line(error: Exception) -> str:

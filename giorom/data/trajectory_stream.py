@@ -17,11 +17,11 @@ from giorom.data.metadata import DataError, read_metadata
 from giorom.data.trajectory_file import (
     CHUNK_BYTES,
     SPLITS,
-    group_header,
     opened,
     split_path,
     trajectory_names,
 )
+from giorom.data.trajectory_group import group_header
 
 __all__ = ["StoredTrajectory", "find_stored", "is_ours", "stored_trajectories"]
 
