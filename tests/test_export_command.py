@@ -11,7 +11,12 @@ import torch
 from giorom.cli import main
 from giorom.commands import rollout
 from giorom.data.readers import ForeignTrajectory, Reader
-from giorom.data.trajectory_file import SPLITS, read_trajectory, read_trajectory_file
+from giorom.data.trajectory_file import (
+    SPLITS,
+    iterate_trajectories,
+    read_trajectory,
+    read_trajectory_file,
+)
 from giorom.data.trajectory_stream import find_stored, stored_trajectories
 from giorom.export.dataset import export_dataset
 from giorom.export.source import open_source
@@ -165,6 +170,17 @@ def test_a_data_set_becomes_one_of_lagrangebench(succeed, moving, out):
             np.testing.assert_array_equal(types, expected)
             largest = max(largest, len(types))
     assert metadata["num_particles_max"] == largest
+
+
+def test_what_lagrangebench_gets_comes_back_with_its_walls(succeed, moving, out):
+    """Import undoes the export: walls are kinematic again, although the metadata still name us."""
+    succeed("export", moving, out, "--layout", "lagrangebench")
+    succeed("import", out, "--out", out.with_name("back"))
+    for split in SPLITS:
+        found = iterate_trajectories(out.with_name("back"), split)
+        for back, original in zip(found, iterate_trajectories(moving, split), strict=True):
+            assert torch.equal(back.particle_type, original.particle_type)
+            assert torch.equal(back.position, original.position)
 
 
 def test_lagrangebench_gets_trajectories_of_one_length(moving, out):

@@ -10,7 +10,12 @@ from pathlib import Path
 from giorom.data.metadata import DataError, read_metadata
 from giorom.data.readers.source import ForeignTrajectory
 from giorom.data.trajectory_file import SPLITS, opened, split_path, trajectory_names
-from giorom.data.trajectory_stream import StoredTrajectory, find_stored, stored_trajectories
+from giorom.data.trajectory_stream import (
+    StoredTrajectory,
+    find_stored,
+    is_ours,
+    stored_trajectories,
+)
 
 __all__ = ["is_own", "own_trajectories"]
 
@@ -19,9 +24,9 @@ def is_own(path: Path) -> bool:
     """Whether a folder is a finished data set of ours, or a file one of our trajectories."""
     try:
         if path.is_dir():
-            if "giorom_version" not in read_metadata(path):
-                return False
-            return all(split_path(path, name).is_file() for name in SPLITS)
+            read_metadata(path)
+            # The metadata of an exported data set still name us; its files do not.
+            return is_ours(path) and all(split_path(path, name).is_file() for name in SPLITS)
         if path.suffix != ".h5":
             return False
         with opened(path) as file:
