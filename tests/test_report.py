@@ -17,10 +17,11 @@ from giorom.data.metadata import DataError
 from giorom.data.motion_checks import grid_of, nearest_neighbors, rows_are_shuffled
 from giorom.data.readers.source import ForeignTrajectory
 from giorom.data.report import Origin, make_report
-from giorom.data.report_text import markdown, overview_rows, statistics_rows
+from giorom.data.report_text import TYPES, markdown, overview_rows, statistics_rows
 from giorom.data.statistics import Statistics, measure_statistics
 from giorom.data.thinned import Thinned
 from giorom.export.inspection import draw_histograms, draw_motions
+from giorom.mpm.materials import MATERIALS
 from giorom.state import KINEMATIC, WATER, Trajectory
 
 FRAME_DT, FRAMES = 0.005, 14
@@ -441,6 +442,7 @@ def test_statistics_of_the_file_are_compared_with_measured_ones():
     assert found(1.0, 1.1) == []
     assert "acceleration spread 0.2 times ours" in only(found(1.0, 0.2), "contradict")
     assert "per second and not per frame" in only(found(200.0, 4e4), "contradict")
+    assert "velocity spread is 0 and" in only(found(0.0, 0.0), "contradict")
 
 
 def test_statistics_of_the_file_have_a_column_only_where_they_differ():
@@ -521,6 +523,11 @@ def hostile(rng, dim):
 
 
 # The record.
+
+
+def test_every_material_has_a_word():
+    """The report names the types that the simulator writes."""
+    assert {str(law.particle_type) for law in MATERIALS.values()} <= set(TYPES)
 
 
 def test_the_markdown_page_holds_every_row_suspicion_and_note():

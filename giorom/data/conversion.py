@@ -61,8 +61,9 @@ class Conversion:
             raise DataError(f"--skip must be >= 0, got {self.skip!r}.")
         if self.particle_type is not None and not 0 <= self.particle_type < PARTICLE_TYPE_COUNT:
             raise DataError(
-                f"--particle-type must lie between 0 and {PARTICLE_TYPE_COUNT - 1} (3: prescribed, "
-                f"5: water, 6: sand, 7: goop, 8: elastic), got {self.particle_type!r}."
+                f"--particle-type must lie between 0 and {PARTICLE_TYPE_COUNT - 1} (3: kinematic, "
+                f"4: plasticine, 5: water, 6: sand, 7: goop, 8: elastic), got "
+                f"{self.particle_type!r}."
             )
         walls = self.walls()
         if walls is not None and not (np.diff(walls, axis=1) > 0.0).all():

@@ -6,8 +6,16 @@ from giorom.data.report import Report
 
 __all__ = ["markdown", "overview_rows", "statistics_rows"]
 
-TYPES = {"0": "rigid", "3": "kinematic", "5": "water", "6": "sand", "7": "goop", "8": "elastic"}
-"""Words for particle types (GNS convention; 8 is ours)."""
+TYPES = {
+    "0": "rigid",
+    "3": "kinematic",
+    "4": "plasticine",
+    "5": "water",
+    "6": "sand",
+    "7": "goop",
+    "8": "elastic",
+}
+"""Words for particle types (GNS convention; 4 and 8 are ours)."""
 
 STATISTICS = (
     ("velocity mean", "vel_mean"),

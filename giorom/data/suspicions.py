@@ -254,13 +254,18 @@ def _file_statistics(facts: dict[str, Any]) -> Iterator[str]:
         factor[key] = float(np.linalg.norm(file[key])) / ours if ours > 0.0 else 1.0
     velocity, acceleration = factor["vel_std"], factor["acc_std"]
     limit = math.log(STATISTICS_FACTOR)
-    if max(abs(math.log(max(k, 1e-300))) for k in (velocity, acceleration)) <= limit:
+    if max(_logarithm(velocity), _logarithm(acceleration)) <= limit:
         return
     frame_dt, reason = facts["frame_dt"], ""
-    if frame_dt is not None and abs(math.log(velocity * frame_dt)) < limit:
+    if frame_dt is not None and _logarithm(velocity * frame_dt) < limit:
         reason = " (they look like numbers per second and not per frame)"
     yield (
         f"the statistics in the file contradict the measured ones: its velocity spread is "
         f"{velocity:.3g} and its acceleration spread {acceleration:.3g} times ours{reason}. The "
         f"measured ones are used; take the file's only for a model that was trained with them."
     )
+
+
+def _logarithm(factor: float) -> float:
+    """Size of the logarithm of a factor; finite for a file that says zero."""
+    return abs(math.log(max(factor, 1e-300)))
