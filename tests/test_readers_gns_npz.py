@@ -14,6 +14,7 @@ import pytest
 
 from giorom.data.readers import DataError, detect_format
 from giorom.data.readers.gns_npz import GNS_NPZ
+from giorom.data.readers.zip_archive import ZipArchive
 
 
 def motion(seed: int, shape: tuple[int, ...] = (5, 7, 2)) -> np.ndarray:
@@ -215,6 +216,31 @@ def test_zip_bombs_are_refused_before_they_are_unpacked(tmp_path: Path):
     path.write_bytes(bytes(data))
     with pytest.raises(DataError, match="directory"):
         read(path)
+
+
+@pytest.mark.parametrize("record", [b"PK\x06\x06", b"none"])
+def test_the_directory_that_is_limited_is_the_one_that_is_read(record: bytes, tmp_path: Path):
+    """Of two records zipfile believes the wide one, whatever the short one says."""
+    path = tmp_path / "train.npz"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("a.npy", plain("'<f4'", "(2, 2, 2)", bytes(32)))
+    data = path.read_bytes()
+    end = data.rfind(b"PK\x05\x06")
+    wide = record + struct.pack("<QHHIIQQQQ", 44, 45, 45, 0, 0, 1, 1, 1 << 40, 0)
+    locator = b"PK\x06\x07" + struct.pack("<IQI", 0, end, 1)
+    path.write_bytes(data[:end] + wide + locator + data[end:])
+    with pytest.raises(DataError, match="directory"):
+        ZipArchive(path)
+
+
+def test_a_wide_directory_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """An archive of more than 65535 members, as zipfile writes it, has the wide record."""
+    monkeypatch.setattr(zipfile, "ZIP_FILECOUNT_LIMIT", 0)
+    path = tmp_path / "train.npz"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("a.npy", b"x")
+    assert b"PK\x06\x06" in path.read_bytes()
+    assert list(ZipArchive(path).members) == ["a.npy"]
 
 
 @pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])

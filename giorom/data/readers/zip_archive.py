@@ -25,6 +25,9 @@ __all__ = ["ZipArchive", "is_zip"]
 MOST_DIRECTORY_BYTES = 8 << 20
 """Longest list of members; some hundred thousand."""
 
+ZIP64_BYTES = 56 + 20
+"""The wide record of the directory and its locator, which stand before the short record."""
+
 MOST_MEMBER_BYTES = 16 << 30
 """Longest member, unpacked."""
 
@@ -130,15 +133,18 @@ def is_zip(path: Path) -> bool:
 
 def _check_directory(source: FileSource) -> None:
     """Reject a directory so long that reading it would take the memory."""
-    length = min(source.size, 22 + 65535)
+    length = min(source.size, ZIP64_BYTES + 22 + 65535)
     tail = source.read_at(source.size - length, length)
     place = tail.rfind(b"PK\x05\x06")
     if place < 0 or place + 22 > len(tail):
         raise DataError(f"{source.name} is a zip archive cut off before its end. Copy it again.")
     announced = struct.unpack_from("<L", tail, place + 12)[0]
-    wide = tail.rfind(b"PK\x06\x06")
-    if announced == 0xFFFFFFFF and 0 <= wide <= len(tail) - 56:
-        announced = struct.unpack_from("<Q", tail, wide + 40)[0]
+    # With a ZIP64 locator before it, zipfile believes the wide record and not this one.
+    wide = tail[max(0, place - ZIP64_BYTES) : place]
+    if len(wide) == ZIP64_BYTES and wide[56:60] == b"PK\x06\x07":
+        if wide[:4] != b"PK\x06\x06":
+            raise DataError(f"{source.name} is a zip archive without its directory. Copy it again.")
+        announced = struct.unpack_from("<Q", wide, 40)[0]
     if announced > MOST_DIRECTORY_BYTES:
         raise DataError(
             f"{source.name} announces a directory of {announced} bytes, more than "
