@@ -19,7 +19,7 @@ from types import SimpleNamespace
 import pytest
 
 from giorom.cli import main
-from giorom.data.lock import LOCK_FILE, only_writer
+from giorom.data.lock import LOCK_FILE, WITHOUT_LOCKS, only_writer
 from giorom.data.metadata import DataError
 from giorom.data.work_folder import finished_parts, part_path
 from giorom.data.work_log import append_entry, keep_failures, read_entries
@@ -194,6 +194,24 @@ def test_second_writer_is_refused_and_a_lock_left_behind_is_not(short, tmp_path)
     (folder / LOCK_FILE).write_text("{")
     assert make(short, folder, trajectories=3)["trajectories"] == 3
     assert not (folder / LOCK_FILE).exists()
+
+
+@pytest.mark.parametrize("answer", WITHOUT_LOCKS)
+def test_disk_without_locks_is_written_to_and_another_fault_is_said(tmp_path, monkeypatch, answer):
+    """Clusters mount their disks without locks; that nobody else holds one is the truth there."""
+
+    def answered(number):
+        def lock(descriptor, operation):
+            raise OSError(number, os.strerror(number))
+
+        return lock
+
+    monkeypatch.setattr("fcntl.flock", answered(answer))
+    with only_writer(tmp_path):
+        assert (tmp_path / LOCK_FILE).exists()
+    monkeypatch.setattr("fcntl.flock", answered(errno.EIO))
+    with pytest.raises(OSError, match=os.strerror(errno.EIO)), only_writer(tmp_path):
+        pass
 
 
 @pytest.mark.parametrize(

@@ -4,17 +4,22 @@ The lock belongs to the operating system and goes with the process, however that
 file that a killed process left behind is taken over. The file says who holds it.
 """
 
+import errno
 import json
 import os
 import socket
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from giorom.data.metadata import DataError
 
 LOCK_FILE = "simulate.lock"
 """Name of the lock file of a work folder."""
+
+WITHOUT_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP)
+"""What file systems without locks answer (some of clusters); there, as on Windows, two writers do
+the work twice."""
 
 
 @contextmanager
@@ -50,15 +55,21 @@ def _acquire(path: Path) -> int:
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
+        except BlockingIOError:
             os.close(descriptor)
             raise DataError(
                 f"{path.parent} is being written by {_holder(path)}. Wait until it has ended, or "
                 f"choose another folder."
             ) from None
+        except OSError as error:
+            if error.errno in WITHOUT_LOCKS:
+                return descriptor
+            os.close(descriptor)
+            raise
         # The holder before us may have removed the file after we opened it.
-        if path.exists() and os.path.samestat(os.fstat(descriptor), path.stat()):
-            return descriptor
+        with suppress(FileNotFoundError):
+            if os.path.samestat(os.fstat(descriptor), path.stat()):
+                return descriptor
         os.close(descriptor)
 
 
