@@ -228,6 +228,17 @@ def test_other_contents_are_refused_in_one_line(finding: str, tmp_path: Path):
     assert "\n" not in str(refusal.value)
 
 
+def test_what_a_link_names_is_not_opened_to_tell_the_format(tmp_path: Path):
+    """A group that lies elsewhere is named in the refusal, whether or not its place exists."""
+    import h5py
+
+    with h5py.File(tmp_path / "train.h5", "w") as file:
+        file["00000"] = h5py.ExternalLink("absent.h5", "/00000")
+    assert LAGRANGEBENCH.detect(tmp_path / "train.h5")
+    with pytest.raises(DataError, match="not followed"):
+        list(LAGRANGEBENCH.read(tmp_path / "train.h5"))
+
+
 def test_a_file_that_is_cut_off_is_refused(tmp_path: Path):
     """HDF5 notices at once, or when the block is read."""
     path = tmp_path / "train.h5"
