@@ -366,7 +366,8 @@ def test_a_film_that_was_cut_off_is_noticed(tmp_path):
     path = tmp_path / "a.mp4"
     path.write_bytes(film)
     _check_film(path)
-    for length in range(len(film)):
-        path.write_bytes(film[:length])
+    endless = b"\0\0\0\1mdat" + bytes(8)
+    for cut in (endless, *(film[:length] for length in range(len(film)))):
+        path.write_bytes(cut)
         with pytest.raises(OSError, match="disk full"):
             _check_film(path)

@@ -208,7 +208,7 @@ def _check_film(path: Path) -> None:
         while offset + 8 <= size:
             file.seek(offset)
             length, kind, wide = struct.unpack(">I4sQ", file.read(16).ljust(16, b"\0"))
-            offset += wide if length == 1 else max(length, 8)
+            offset += max(wide if length == 1 else length, 8)
             kinds.append(kind)
     if offset != size or b"moov" not in kinds or b"mdat" not in kinds:
         raise OSError(f"the encoder could not write the film {path.name}. Is the disk full?")
