@@ -8,7 +8,7 @@ closed form. ``dev e = e - tr(e) / d`` and ``|.|`` is the Euclidean norm.
 In two dimensions, plane strain, the deviator is that of the plane: once a plane flow is fully
 developed the elastic strain out of plane is the mean of the two in it, and both deviators agree.
 
-The float64 reference of the kernels in ``transfer.py``. Strains have no unit; time in s.
+The float64 reference of the kernels' laws in ``device_laws.py``. Strains have no unit; time in s.
 """
 
 import math
