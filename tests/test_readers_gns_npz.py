@@ -229,7 +229,7 @@ def test_the_directory_that_is_limited_is_the_one_that_is_read(record: bytes, tm
     wide = record + struct.pack("<QHHIIQQQQ", 44, 45, 45, 0, 0, 1, 1, 1 << 40, 0)
     locator = b"PK\x06\x07" + struct.pack("<IQI", 0, end, 1)
     path.write_bytes(data[:end] + wide + locator + data[end:])
-    with pytest.raises(DataError, match="directory"):
+    with pytest.raises(DataError, match=r"announces a directory|without its directory"):
         ZipArchive(path)
 
 
