@@ -7,6 +7,7 @@ import numpy as np
 
 from benchmarks.verification.case import COLOURS, GREY, Case, Outcome, Row, blank
 from benchmarks.verification.sand import Curve, come_to_rest
+from benchmarks.verification.sand_collapse_3d import FRICTION_ANGLE, plane_angle
 from benchmarks.verification.world import block
 
 HALF_WIDTH = 0.3
@@ -60,6 +61,50 @@ def heap(friction_angle: float, slope: float, grid_cells: int) -> Curve:
     }
 
 
+def cone_way(friction_angle: float, slope: float, grid_cells: int) -> Curve:
+    """Farthest way of a particle in a round heap of 3-D sand [cells], and their number."""
+    spacing, floor, half = 0.5 / grid_cells, 4.0 / grid_cells, 0.25
+    rise = math.tan(math.radians(slope))
+    top = floor + math.ceil(half * rise / spacing) * spacing
+    lower, upper = (0.5 - half, floor, 0.5 - half), (0.5 + half, top, 0.5 + half)
+    points = block(lower, upper, spacing)
+    away = np.hypot(points[:, 0] - 0.5, points[:, 2] - 0.5)
+    world, start = come_to_rest(
+        points[points[:, 1] - floor <= (half - away) * rise],
+        grid_cells=grid_cells,
+        floor=floor,
+        until=UNTIL,
+        height=half * rise,
+        friction_angle=friction_angle,
+    )
+    way = np.linalg.norm(world.position - start, axis=1).max() * grid_cells
+    return {"slope": slope, "way": float(way), "particles": len(start)}
+
+
+def cone_rows(grid_cells: int) -> list[Row]:
+    """Round heaps stand up to the plane angle of the 3-D cone of yield, 46 degrees for 31."""
+    rows = []
+    for slope in (40.0, 50.0):
+        heap_3d = cone_way(FRICTION_ANGLE, slope, grid_cells)
+        stands = slope < plane_angle(FRICTION_ANGLE)
+        rows.append(
+            Row(
+                quantity=f"farthest way in a 3-D cone of {slope:g} degrees, friction "
+                f"{FRICTION_ANGLE:g} [cells]",
+                measured=heap_3d["way"],
+                reference=0.0,
+                source="sin(phi_p) = 2 sqrt(3) sin(phi) / (3 - sin(phi)): 46 degrees, see the 3-D "
+                "collapse",
+                lowest=-math.inf if stands else 1.0,
+                highest=1.0 if stands else math.inf,
+                absolute=True,
+                grid_cells=grid_cells,
+                particles=heap_3d["particles"],
+            )
+        )
+    return rows
+
+
 def flank(position: np.ndarray, *, floor: float, cell: float) -> float:
     """Slope of both flanks between 20 and 80 % of the height, by least squares [degrees]."""
     away, up = np.abs(position[:, 0] - 0.5), position[:, 1] - floor
@@ -77,7 +122,8 @@ def measure(*, quick: bool = False) -> Outcome:
     cells = 64 if quick else 128
     steeper = (-5.0, 10.0) if quick else STEEPER
     heaps = [heap(angle, angle + more, cells) for angle in ANGLES for more in steeper]
-    return Outcome(rows=[row_of(each) for each in heaps], curves={"heaps": heaps})
+    rows = [row_of(each) for each in heaps] + ([] if quick else cone_rows(40))
+    return Outcome(rows=rows, curves={"heaps": heaps})
 
 
 def row_of(each: Curve) -> Row:
@@ -149,7 +195,7 @@ CASE = Case(
     method="Triangular heaps of dry sand, 0.6 m wide, of 25 and of 35 degrees of friction, are let "
     "go on a floor they stick to (plane strain, jittered particles). A flank flatter than the "
     "friction angle stands; a steeper one slides and, being in motion, comes to rest below it. "
-    "Dotted: the friction angles.",
+    "Dotted: the friction angles. Round heaps of 3-D sand of 31 degrees stand up to 46.",
     measure=measure,
     draw=draw,
 )
