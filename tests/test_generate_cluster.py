@@ -91,6 +91,31 @@ def test_work_that_is_not_waited_for_is_collected_by_the_next_call(send, tmp_pat
     assert len(said) == 1
 
 
+def test_what_failed_in_the_meantime_is_collected_too(send, tmp_path, monkeypatch):
+    """Nobody waited for trajectory 3, which cannot be made: it is listed and not sent again."""
+    folder, sent, said = tmp_path / "data", [], []
+    submit, make = cluster._send, cluster.make_part
+
+    def noted(*rest, **options):
+        sent.extend(submit(*rest, **options))
+        return sent
+
+    def made(experiment, job, **options):
+        if job.index == 3:
+            return Outcome(index=3, problem="guard 'speed' broken")
+        return make(experiment, job, **options)
+
+    monkeypatch.setattr(cluster, "_send", noted)
+    monkeypatch.setattr(cluster, "make_part", made)
+    send(folder, wait=False, said=said)
+    for item in sent:
+        item.task.wait()
+    result = send(folder, wait=False, said=said)
+    assert len(said) == 1
+    assert result["splits"] == {"train": 2, "valid": 1, "test": 1}
+    assert result["failures"] == [{"index": 3, "reason": "guard 'speed' broken"}]
+
+
 def test_trajectories_of_a_lost_task_are_sent_again_and_then_listed(send, tmp_path, monkeypatch):
     """A task that ends without a word about trajectory 3, twice."""
     call = cluster.Chunk.__call__

@@ -2,8 +2,9 @@
 
 Every chunk is a task of the array and writes into the work folder, which all machines must
 share: the parts, and ``log/chunk-ARRAY-NUMBER.jsonl`` with what became of each trajectory.
-What comes back is read from there. A task that is preempted or reaches its time limit goes on
-where it stopped; what no task has answered for when all have ended is sent once more.
+What comes back is read from there, by a later call too if this one does not wait. A task that is
+preempted or reaches its time limit goes on where it stopped; what no task has answered for when
+all have ended is sent once more.
 """
 
 import shutil
@@ -140,8 +141,12 @@ def run_on_cluster(
         announce: Called with a line about each array.
 
     Yields:
-        What became of each; nothing if ``cluster.wait`` is false.
+        What became of each; if ``cluster.wait`` is false only what earlier calls have given up.
     """
+    if not cluster.wait:
+        given_up = _earlier_failures(folder)
+        yield from (given_up[job.index] for job in todo if job.index in given_up)
+        todo = [job for job in todo if job.index not in given_up]
     for round_number in range(1, ROUNDS + 1):
         if not todo:
             return
@@ -218,6 +223,13 @@ def _collect(sent: list[_Sent], folder: Path, *, cluster: Cluster) -> Iterator[O
                     yield Outcome(**entry)
         if running:
             time.sleep(POLL[cluster.kind])
+
+
+def _earlier_failures(folder: Path) -> dict[int, Outcome]:
+    """Trajectories that the tasks of earlier calls could not make, by number."""
+    names = sorted(path.stem for path in (folder / "log").glob("chunk-*.jsonl"))
+    entries = (entry for name in names for entry in read_entries(folder, name))
+    return {e["index"]: Outcome(**e) for e in entries if e["problem"] is not None}
 
 
 def _given_up(sent: list[_Sent], todo: list[Job]) -> Iterator[Outcome]:

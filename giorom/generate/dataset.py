@@ -102,7 +102,8 @@ def generate(
         if cluster is None:  # those of workers that were killed meanwhile
             remove_leftovers(folder)
         parts = [part for part in finished_parts(folder) if part < trajectories]
-        if cluster is not None and not cluster.wait and len(parts) < trajectories:
+        ended = len(parts) + len(failures)
+        if cluster is not None and not cluster.wait and ended < trajectories:
             return _sent(len(parts), seconds=time.perf_counter() - start)
         if not parts:
             first = failures[min(failures)]
