@@ -185,8 +185,8 @@ def draw(outcome: Outcome) -> Any:
     left.plot(*MARTIN_MOYCE, "o", color=COLOURS[1], markersize=4, label="Martin and Moyce 1952")
     bound = np.array([0.0, 1.4])
     left.plot(bound, 1.0 + 2.0 * bound, ":", color=GREY, label="Ritter's bound")
-    left.set(xlabel="T = t sqrt(2g/a)", ylabel="front Z = x/a", ylim=(0.9, 5.2))
-    left.legend(fontsize=8, loc="lower right")
+    left.set(xlabel="T = t sqrt(2g/a)", ylabel="front Z = x/a", ylim=(0.9, 7.0))
+    left.legend(fontsize=8, loc="upper left")
     at = outcome.curves["fine"]["position"]
     right.plot(at[::4, 0], at[::4, 1], ",", color=COLOURS[0])
     right.plot([0.0, 0.0, 1.0, 1.0], [0.0, 2.0, 2.0, 0.0], ":", color=GREY)
