@@ -364,6 +364,20 @@ def test_a_shape_that_no_file_of_that_size_can_hold_is_refused(tmp_path):
         find_stored(path, split="train", index=0)
 
 
+def test_a_block_that_no_file_of_that_size_can_hold_is_refused(tmp_path):
+    """HDF5 makes room for a whole block, here 800 MB, to read one frame of it."""
+    path = tmp_path / "one.h5"
+    write_trajectory_file(make_trajectory(), path)
+    with h5py.File(path, "r+") as file:
+        shape, block = (12, 30, 2), (3_333_333, 30, 2)
+        del file["00000/position"]
+        file["00000"].create_dataset(
+            "position", shape, "f4", maxshape=(None, 30, 2), chunks=block, compression="gzip"
+        )
+    with pytest.raises(DataError, match="which its file cannot hold"):
+        find_stored(path, split="train", index=0)
+
+
 def test_a_body_at_rest_is_read_however_well_it_packs(tmp_path):
     """Equal frames pack a thousandfold and are sound; the limit is deflate's own."""
     path, frames, count = tmp_path / "still.h5", 3000, 3000

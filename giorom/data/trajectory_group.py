@@ -110,11 +110,14 @@ def _check_place(data: Any, where: str, *, limit: int) -> None:
             f"{where}: {data.name} lies in other files, which are not read. Copy the data into "
             f"one file (h5repack)."
         )
-    size = math.prod(data.shape) * data.dtype.itemsize
-    if size > limit or data.shape[-1] > MOST_PARTICLES:
+    size, block = (
+        math.prod(shape) * data.dtype.itemsize for shape in (data.shape, data.chunks or ())
+    )
+    if max(size, block) > limit or data.shape[-1] > MOST_PARTICLES:
         raise DataError(
-            f"{where}: {data.name} announces the shape {data.shape}, {size} bytes, which its file "
-            f"cannot hold. It is damaged; copy it again or remake it."
+            f"{where}: {data.name} announces the shape {data.shape} in blocks of {data.chunks}, "
+            f"{max(size, block)} bytes, which its file cannot hold. It is damaged; copy it again "
+            f"or remake it."
         )
 
 
