@@ -1,6 +1,8 @@
 """A trajectory file is whole or refused, and other people's loaders can open it."""
 
 import json
+import tracemalloc
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -360,7 +362,7 @@ def test_a_shape_that_no_file_of_that_size_can_hold_is_refused(tmp_path):
         del group["position"], group["particle_type"]
         group.create_dataset("position", (9, particles, 2), "f4", chunks=(1, 99, 2), **options)
         group.create_dataset("particle_type", (particles,), "i4", chunks=(99,), **options)
-    with pytest.raises(DataError, match="which its file cannot hold"):
+    with pytest.raises(DataError, match="out of proportion to a file"):
         find_stored(path, split="train", index=0)
 
 
@@ -374,8 +376,22 @@ def test_a_block_that_no_file_of_that_size_can_hold_is_refused(tmp_path):
         file["00000"].create_dataset(
             "position", shape, "f4", maxshape=(None, 30, 2), chunks=block, compression="gzip"
         )
-    with pytest.raises(DataError, match="which its file cannot hold"):
+    with pytest.raises(DataError, match="out of proportion to a file"):
         find_stored(path, split="train", index=0)
+
+
+def test_a_block_that_unpacks_to_more_than_it_declares_is_not_unpacked(tmp_path):
+    """64 MB of zeros in a block of 2,880 bytes: HDF5 itself would make room for all of them."""
+    path, bomb = tmp_path / "one.h5", zlib.compress(bytes(1 << 26))
+    write_trajectory_file(make_trajectory(), path)
+    with h5py.File(path, "r+") as file:
+        file["00000/position"].id.write_direct_chunk((0, 0, 0), bomb)
+    stored = find_stored(path, split="train", index=0)
+    tracemalloc.start()
+    with pytest.raises(DataError, match="unpacks to more"):
+        next(stored.frames())
+    assert tracemalloc.get_traced_memory()[1] < 1 << 22
+    tracemalloc.stop()
 
 
 def test_a_body_at_rest_is_read_however_well_it_packs(tmp_path):

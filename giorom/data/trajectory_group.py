@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from giorom.data.metadata import DataError
-from giorom.data.readers.hdf5_guard import member
+from giorom.data.readers.hdf5_guard import check_storage, member
 from giorom.data.readers.source import MOST_PARTICLES
 from giorom.state import KINEMATIC, PARTICLE_TYPE_COUNT
 
@@ -99,26 +99,13 @@ def _checked_arrays(group: Any, where: str, path: Path) -> tuple[Any, Any]:
         )
     limit = max(SMALL_BYTES, MOST_RATIO * path.stat().st_size)
     for data in (position, particle_type):
-        _check_place(data, where, limit=limit)
+        check_storage(data, path=path, limit=limit)
+    if position.shape[1] > MOST_PARTICLES:
+        raise DataError(
+            f"{where} announces {position.shape[1]} particles, more than the {MOST_PARTICLES} that "
+            f"are read. Check the file."
+        )
     return position, particle_type
-
-
-def _check_place(data: Any, where: str, *, limit: int) -> None:
-    """Refuse an array that lies elsewhere, or that the bytes of the file cannot make."""
-    if data.is_virtual or data.external:
-        raise DataError(
-            f"{where}: {data.name} lies in other files, which are not read. Copy the data into "
-            f"one file (h5repack)."
-        )
-    size, block = (
-        math.prod(shape) * data.dtype.itemsize for shape in (data.shape, data.chunks or ())
-    )
-    if max(size, block) > limit or data.shape[-1] > MOST_PARTICLES:
-        raise DataError(
-            f"{where}: {data.name} announces the shape {data.shape} in blocks of {data.chunks}, "
-            f"{max(size, block)} bytes, which its file cannot hold. It is damaged; copy it again "
-            f"or remake it."
-        )
 
 
 def _checked_types(particle_type: Any, where: str) -> np.ndarray:

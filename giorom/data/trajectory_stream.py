@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from giorom.data.metadata import DataError, read_metadata
+from giorom.data.readers.hdf5_guard import rows_of
 from giorom.data.trajectory_file import (
     CHUNK_BYTES,
     SPLITS,
@@ -72,9 +73,8 @@ class StoredTrajectory:
             for start in range(0, end, block):
                 stop = min(start + block, end)
                 if stride >= block:
-                    yield position[start]
-                else:
-                    yield from position[start:stop][::stride]
+                    stop = start + 1
+                yield from rows_of(position, start, stop, path=self.path)[::stride]
 
 
 def is_ours(path: Path) -> bool:

@@ -20,7 +20,7 @@ import numpy as np
 from giorom.data.readers.source import DataError
 from giorom.data.readers.vtk_arrays import unpacked_limit
 
-__all__ = ["guarded_file", "member", "numbers_of", "rows_of"]
+__all__ = ["check_storage", "guarded_file", "member", "numbers_of", "rows_of"]
 
 DEFLATE, SHUFFLE, FLETCHER, LZF = 1, 2, 3, 32000
 
@@ -128,25 +128,38 @@ def numbers_of(group: Any, name: str, *, path: Path, dims: int) -> Any | None:
             f"{path}: '{name}' is {data.dtype} of shape {data.shape}; it must have {dims} axes, "
             f"numbers of at most 8 bytes, and not be empty. Remake the file."
         )
+    check_storage(data, path=path, limit=unpacked_limit(path.stat().st_size))
+    return data
+
+
+def check_storage(data: Any, *, path: Path, limit: int) -> None:
+    """Refuse an array that lies elsewhere, is packed in an unknown way, or is too large.
+
+    Args:
+        data: An ``h5py.Dataset`` of numbers.
+        path: The file, for messages.
+        limit: Most bytes that the array and each of its blocks may announce.
+
+    Raises:
+        DataError: If reading it could do harm.
+    """
     if data.is_virtual or data.external:
         raise DataError(
-            f"{path}: '{name}' lies in other files, which are not read. Copy the data into one "
-            f"file (h5repack)."
+            f"{path}: '{data.name}' lies in other files, which are not read. Copy the data into "
+            f"one file (h5repack)."
         )
     if _filters(data) not in PIPELINES:
         raise DataError(
-            f"{path}: '{name}' is packed with the HDF5 filters {list(_filters(data))}; read are "
-            f"gzip, lzf, shuffle and fletcher32. Repack it (h5repack -f GZIP=4)."
+            f"{path}: '{data.name}' is packed with the HDF5 filters {list(_filters(data))}; read "
+            f"are gzip, lzf, shuffle and fletcher32. Repack it (h5repack -f GZIP=4)."
         )
-    limit = unpacked_limit(path.stat().st_size)
     block = math.prod(data.chunks or (1,)) * data.dtype.itemsize
     size = math.prod(data.shape) * data.dtype.itemsize
     if max(block, size) > limit:
         raise DataError(
-            f"{path}: '{name}' announces {max(block, size)} bytes, out of proportion to a file of "
-            f"{path.stat().st_size} bytes. It is damaged; copy it again."
+            f"{path}: '{data.name}' announces {max(block, size)} bytes, out of proportion to a "
+            f"file of {path.stat().st_size} bytes. It is damaged; copy it again."
         )
-    return data
 
 
 def rows_of(data: Any, first: int, last: int, *, path: Path) -> np.ndarray:
