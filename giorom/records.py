@@ -59,6 +59,11 @@ def check_keys(kind: type, values: Any, *, where: str) -> None:
             raise ValueError(
                 f"{where}: {kind.__name__} has no field {key!r}. {nearest(key, fields)}"
             )
+        if value is None and not _takes_none(fields[key]):
+            raise ValueError(
+                f"{where}: {kind.__name__}.{key} must not be null. Give it a value, or leave the "
+                f"line out for its default."
+            )
         inner = record_type(fields[key])
         if inner is None or value is None:
             continue
@@ -67,6 +72,11 @@ def check_keys(kind: type, values: Any, *, where: str) -> None:
                 check_keys(inner, entry, where=f"{where}[{key}][{number}]")
         else:
             check_keys(inner, value, where=f"{where}[{key}]")
+
+
+def _takes_none(annotation: Any) -> bool:
+    """Whether null is a value of a field."""
+    return annotation is Any or type(None) in typing.get_args(annotation)
 
 
 def record_type(annotation: Any) -> type | None:

@@ -157,6 +157,24 @@ def test_scene_that_cannot_be_drawn_leaves_nothing_behind(tiny, make_data, tmp_p
     assert not (tmp_path / "data").exists()
 
 
+@pytest.mark.parametrize(
+    ("solver", "message"),
+    [
+        ({"frame_dt": 1e30}, r"would take .* substeps .*more than 1000000"),
+        ({"substeps": 1}, r"breaks the time-step rule.*Set SolverConfig\.substeps to"),
+        ({"grid_cells": 8}, r"are nearer than 2 cells .* to a side of the unit box"),
+    ],
+)
+def test_solver_that_cannot_run_the_scene_leaves_nothing_behind(
+    tiny, make_data, tmp_path, solver, message
+):
+    """So that the corrected command is not refused for the sake of the folder it left."""
+    wrong = replace(tiny, solver=replace(tiny.solver, **solver))
+    with pytest.raises(ValueError, match=message):
+        make_data(wrong, tmp_path / "data")
+    assert not (tmp_path / "data").exists()
+
+
 def test_no_trajectory_is_in_two_splits_and_shares_hold():
     """A partition with a tenth each held out; growing a set moves no trajectory."""
     for count in (3, 6, 20, 100):

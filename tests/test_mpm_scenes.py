@@ -1,6 +1,7 @@
 """Random scenes: seeds, clamps, placement and what is refused."""
 
 import json
+import math
 import subprocess
 import sys
 from dataclasses import replace
@@ -297,6 +298,8 @@ def test_scene_that_reaches_beyond_a_wall_is_refused():
         ({"height_range": [0.3, 0.2]}, "lowest <= highest"),
         ({"spacing": 0.0}, "spacing must be > 0 m"),
         ({"wall": 0.5}, "between 0 and 0.5"),
+        ({"base_height": math.nan}, "base_height .* must lie between 0 and 1 m, got nan"),
+        ({"base_height": math.inf}, "base_height .* must lie between 0 and 1 m, got inf"),
         ({"clamped_fraction": 1.0}, "between 0 and 1"),
         ({"impulses": ["jump"]}, "bend, sway, twist, axial"),
         ({"placement": [[0.5, 0.5]]}, "each of the 3 axes"),

@@ -137,6 +137,13 @@ def test_filling_a_shape_below_the_spacing_is_refused():
         fill(drawn("torus", 3), spacing=0.3, generator=generator())
 
 
+@pytest.mark.parametrize("spacing", [0.5, 1e30, 1e308])
+def test_spacing_beyond_the_shape_is_refused(spacing: float):
+    """One particle would stand for a body smaller than its own cell."""
+    with pytest.raises(ValueError, match=r"less than the spacing of its particles"):
+        fill(drawn("pebble", 2), spacing=spacing, generator=generator())
+
+
 def test_unknown_shape_names_the_known_ones():
     """A sphere is no 2-D shape; the message lists those that are."""
     with pytest.raises(ValueError, match="disc"):

@@ -1,6 +1,8 @@
 """A trajectory file is whole or refused, and other people's loaders can open it."""
 
 import json
+import math
+import os
 import tracemalloc
 import zlib
 from pathlib import Path
@@ -432,6 +434,59 @@ def test_wrong_metadata_are_refused(tmp_path, content, message):
     folder = make_dataset(tmp_path / "set")
     (folder / "metadata.json").write_text(content)
     with pytest.raises(DataError, match=message):
+        read_trajectory(folder, "train", 0)
+
+
+DEEP = f'{{"dim": {"[" * 100_000}'
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"bounds": 5}, "dim=2 and bounds=5; dim must be 2 or 3, with one"),
+        ({"bounds": None}, "bounds=None"),
+        ({"bounds": [[0.0, 1.0], [0.0]]}, r"bounds=\[\[0.0, 1.0\], \[0.0\]\]"),
+        ({"bounds": [[0.0, 1.0], [0.0, math.nan]]}, "of finite numbers per axis"),
+        ({"bounds": [["a", "b"]] * 2}, "of finite numbers per axis"),
+        ({"dim": [2]}, r"dim=\[2\]"),
+        ({"dt": 0.0}, "dt=0.0; it must be > 0 s"),
+        ({"dt": "x"}, "dt='x'; it must be > 0 s"),
+        ({"dt": 10**400}, "it must be > 0 s"),
+        ({"format_version": "1"}, "format version '1', this program reads up to"),
+        ({"format_version": None}, "format version None, this program reads up to"),
+    ],
+)
+def test_metadata_edited_by_hand_are_refused_in_one_line(tmp_path, change, message):
+    """No type of JSON value in a key of the format raises anything else."""
+    folder = make_dataset(tmp_path / "set")
+    known = json.loads((folder / "metadata.json").read_text())
+    (folder / "metadata.json").write_text(json.dumps(known | change))
+    with pytest.raises(DataError, match=message) as caught:
+        read_trajectory(folder, "train", 0)
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 1000
+
+
+@pytest.mark.parametrize("content", [DEEP, f'{{"dt": {"9" * 10_000}}}', b"\xff\xfe", "\0" * 99])
+def test_metadata_that_break_the_parser_are_refused(tmp_path, content):
+    folder = make_dataset(tmp_path / "set")
+    text = content if isinstance(content, bytes) else content.encode()
+    (folder / "metadata.json").write_bytes(text)
+    with pytest.raises(DataError, match="not readable JSON"):
+        read_trajectory(folder, "train", 0)
+
+
+def test_metadata_that_are_a_pipe_or_endless_are_not_opened(tmp_path):
+    """Reading a pipe waits for ever, and a sparse file of 1 GiB would be read to its end."""
+    folder = make_dataset(tmp_path / "set")
+    (folder / "metadata.json").unlink()
+    os.mkfifo(folder / "metadata.json")
+    with pytest.raises(DataError, match="is no file of at most"):
+        read_trajectory(folder, "train", 0)
+    (folder / "metadata.json").unlink()
+    with (folder / "metadata.json").open("wb") as file:
+        file.truncate(1 << 30)
+    with pytest.raises(DataError, match="is no file of at most"):
         read_trajectory(folder, "train", 0)
 
 

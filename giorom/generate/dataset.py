@@ -25,7 +25,7 @@ from giorom.generate.pool import run_jobs
 from giorom.generate.room import require_room
 from giorom.generate.trajectory import SCENES_PER_SEED, Outcome, Tick, jobs_of
 from giorom.graph import choose_radius
-from giorom.mpm import Scene, SimulationError, draw_scene
+from giorom.mpm import Scene, SimulationError, draw_scene, require_runnable
 from giorom.sampling import sample
 
 Report = Callable[[int, int], None]
@@ -79,8 +79,10 @@ def generate(
     _require_frames(experiment)
     if cluster is not None:
         require_cluster(cluster)
-    # The first scene is drawn here, so that what cannot be drawn or stored leaves nothing behind.
+    # The first scene is drawn here: what cannot be drawn, run or stored leaves nothing behind.
     scene = draw_scene(experiment.scene, seed=seed * SCENES_PER_SEED, shape=shape)
+    if not finished_parts(folder):
+        require_runnable(scene, experiment.solver)
     _require_room(
         scene, experiment, folder=folder, trajectories=trajectories, jobs=0 if cluster else jobs
     )

@@ -16,7 +16,7 @@ from giorom.mpm.materials import (
 from giorom.mpm.scene import MaterialSwitch, Scene
 from giorom.mpm.scene_config import SceneConfig
 from giorom.mpm.scenes import draw_scene
-from giorom.mpm.simulate import SimulationError, SolverConfig, simulate
+from giorom.mpm.simulate import SimulationError, SolverConfig, require_runnable, simulate
 
 __all__ = [
     "DruckerPragerSand",
@@ -32,5 +32,6 @@ __all__ = [
     "WeaklyCompressibleFluid",
     "draw_scene",
     "make_material",
+    "require_runnable",
     "simulate",
 ]

@@ -177,6 +177,11 @@ class SceneConfig:
                 f"SceneConfig.wall is a distance from the side of the unit box and must lie "
                 f"between 0 and 0.5 m, got {self.wall!r}."
             )
+        if not 0.0 <= self.base_height < 1.0:
+            raise ValueError(
+                f"SceneConfig.base_height is a height in the unit box and must lie between 0 and "
+                f"1 m, got {self.base_height!r}."
+            )
         if not 0.0 < self.clamped_fraction < 1.0:
             raise ValueError(
                 f"SceneConfig.clamped_fraction must lie between 0 and 1, got "

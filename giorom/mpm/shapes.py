@@ -229,8 +229,13 @@ def fill(
         Positions in the frame of the shape [m] and the volume of each particle [m^d].
 
     Raises:
-        ValueError: If no lattice point falls inside.
+        ValueError: If the spacing exceeds the shape, or no lattice point falls inside.
     """
+    if spacing > max(shape.extent):
+        raise ValueError(
+            f"shape {shape.name} is {max(shape.extent):.3g} m long, less than the spacing of its "
+            f"particles, {spacing:g} m. Lower SceneConfig.spacing or raise height_range."
+        )
     points = lattice(shape.extent, spacing)
     points = points[shape.level(points) < 0.0]
     if len(points) == 0:

@@ -122,9 +122,7 @@ class Run:
     def __init__(self, scene: Scene, solver: SolverConfig, *, device: str = "cpu") -> None:
         self.scene = scene
         self.solver = solver
-        self.walls = walls_of(scene, solver.grid_cells)
-        self.walls.require_inside(scene.position)
-        self.substeps = chosen_substeps(scene, solver)
+        self.walls, self.substeps = require_runnable(scene, solver)
 
         from giorom.mpm.engine import Engine
 
@@ -186,6 +184,21 @@ class Run:
             bounds=self.bounds,
             attributes=self.attributes | measured,
         )
+
+
+def require_runnable(scene: Scene, solver: SolverConfig) -> tuple[Walls, int]:
+    """Check a scene against a grid and its time steps, before anything is started.
+
+    Returns:
+        The walls on the grid and the substeps of a frame.
+
+    Raises:
+        ValueError: If the scene does not lie inside its walls, a wall is too near the side of the
+            box, or a time-step rule is broken.
+    """
+    walls = walls_of(scene, solver.grid_cells)
+    walls.require_inside(scene.position)
+    return walls, chosen_substeps(scene, solver)
 
 
 def fastest_speed(scene: Scene) -> float:
