@@ -426,8 +426,8 @@ def test_walls_in_lagrangebenchs_numbering_are_refused(tmp_path, kind):
         ("[]", "must hold a JSON object"),
         ('{"dim": 2}', "lacks bounds, sequence_length"),
         ("[" * 100_000, "not readable JSON"),
-        (_metadata_text(format_version="new"), "format version new"),
-        (_metadata_text(bounds=1), "dim=2 with 0 bounds"),
+        (_metadata_text(format_version="new"), "format version 'new'"),
+        (_metadata_text(bounds=1), "dim=2 and bounds=1"),
     ],
 )
 def test_wrong_metadata_are_refused(tmp_path, content, message):
