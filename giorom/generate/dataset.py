@@ -2,8 +2,8 @@
 
 import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
-from dataclasses import asdict
+from contextlib import contextmanager, nullcontext
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -96,37 +96,60 @@ def generate(
 
     with only_writer(folder), _explained(folder, trajectories):
         open_work_folder(folder, identity=_identity(experiment, seed=seed, shape=shape))
-        if cluster is None:
-            remove_leftovers(folder)
-        failures, work = _make_missing(
-            run, folder, trajectories=trajectories, frames=experiment.solver.frames, report=report
-        )
-        if cluster is None:  # those of workers that were killed meanwhile
-            remove_leftovers(folder)
-        parts = [part for part in finished_parts(folder) if part < trajectories]
-        ended = len(parts) + len(failures)
+        with _tidied(folder) if cluster is None else nullcontext():
+            made = _make_missing(run, experiment, folder, trajectories=trajectories, report=report)
+        seconds, ended = time.perf_counter() - start, len(made.parts) + len(made.failures)
         if cluster is not None and not cluster.wait and ended < trajectories:
-            return _sent(len(parts), seconds=time.perf_counter() - start)
-        if not parts:
-            first = failures[min(failures)]
-            raise SimulationError(f"no trajectory could be simulated; the first: {first}")
-        seconds = time.perf_counter() - start
-        metadata = assemble_dataset(
-            folder,
-            radius=_default_radius(experiment, scene.position),
-            splits=split_parts(parts),
+            return _sent(len(made.parts), seconds=seconds)
+        radius = _default_radius(experiment, scene.position)
+        return _assembled(folder, made, radius=radius, seconds=seconds)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Made:
+    """What there is of a data set when all work has ended."""
+
+    parts: list[int]
+    """Trajectories, those of earlier calls too."""
+
+    failures: dict[int, str]
+    """Reasons of the trajectories that could not be made."""
+
+    work: float
+    """Particle-substeps of this call."""
+
+
+def _assembled(folder: Path, made: _Made, *, radius: float, seconds: float) -> dict[str, Any]:
+    """Put the parts together; the result of the call.
+
+    Raises:
+        SimulationError: If there is no part.
+    """
+    failures = made.failures
+    if not made.parts:
+        raise SimulationError(
+            f"no trajectory could be simulated; the first: {failures[min(failures)]}"
         )
+    metadata = assemble_dataset(folder, radius=radius, splits=split_parts(made.parts))
     return {
-        "trajectories": len(parts),
+        "trajectories": len(made.parts),
         "points": metadata["num_particles_max"],
         "frames": metadata["sequence_length_train"],
         "frame_dt": metadata["dt"],
-        "particle_substeps_per_second": work / seconds if work else None,
+        "particle_substeps_per_second": made.work / seconds if made.work else None,
         "seconds": seconds,
         "failed": len(failures),
         "failures": [{"index": i, "reason": failures[i]} for i in sorted(failures)],
         "splits": {name: metadata[f"num_trajs_{name}"] for name in SPLITS},
     }
+
+
+@contextmanager
+def _tidied(folder: Path) -> Iterator[None]:
+    """Clear away what workers left that were killed earlier, and at the end those of meanwhile."""
+    remove_leftovers(folder)
+    yield
+    remove_leftovers(folder)
 
 
 def _require_frames(experiment: Experiment) -> None:
@@ -165,9 +188,10 @@ def _require_room(
 
 
 def _make_missing(
-    run: Runner, folder: Path, *, trajectories: int, frames: int, report: Report
-) -> tuple[dict[int, str], float]:
-    """Reasons of the trajectories that could not be made, and the particle-substeps done."""
+    run: Runner, experiment: Experiment, folder: Path, *, trajectories: int, report: Report
+) -> _Made:
+    """Make the trajectories that are not there, and say what became of them."""
+    frames = experiment.solver.frames
     present = set(finished_parts(folder))
     missing = [index for index in range(trajectories) if index not in present]
     ended, total = trajectories - len(missing), trajectories * frames
@@ -187,7 +211,8 @@ def _make_missing(
             failures[outcome.index] = outcome.problem
             keep_failures(folder, failures)
     tick(0)
-    return failures, work
+    parts = [part for part in finished_parts(folder) if part < trajectories]
+    return _Made(parts=parts, failures=failures, work=work)
 
 
 @contextmanager
