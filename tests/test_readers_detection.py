@@ -1,5 +1,7 @@
 """Damaged files are still recognised, so that the message says what is wrong with them."""
 
+import argparse
+import os
 import pickle
 from pathlib import Path
 
@@ -7,7 +9,9 @@ import numpy as np
 import pytest
 import torch
 
+from giorom.commands import data_source
 from giorom.data.readers import DataError, detect_format
+from giorom.export import source as export_source
 
 
 def read_all(path: Path) -> None:
@@ -72,3 +76,20 @@ def test_an_empty_folder_is_of_no_known_format(tmp_path: Path):
     """There is nothing to tell by."""
     with pytest.raises(DataError, match="no known format"):
         detect_format(tmp_path)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
+@pytest.mark.parametrize("name", ["pipe", "pipe.h5", "pipe.npz"])
+def test_a_pipe_is_refused_and_not_waited_for(name: str, tmp_path: Path):
+    """Nobody ever writes into it: opening it would take for ever."""
+    path = tmp_path / name
+    os.mkfifo(path)
+    arguments = argparse.Namespace(source=path, format="gns-npz")
+    openings = (
+        lambda: detect_format(path),
+        lambda: data_source.open_source(arguments),
+        lambda: export_source.open_source(path, split="test", index=0),
+    )
+    for start in openings:
+        with pytest.raises(DataError, match="device or a pipe"):
+            start()

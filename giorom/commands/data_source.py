@@ -16,7 +16,7 @@ from giorom.data.conversion import UNITS, Conversion
 from giorom.data.importing import Progress
 from giorom.data.metadata import DataError
 from giorom.data.own_dataset import is_own, own_trajectories
-from giorom.data.readers import READERS, detect_format
+from giorom.data.readers import READERS, detect_format, require_place
 from giorom.data.readers.source import ForeignTrajectory
 from giorom.data.report import Report
 from giorom.data.report_text import overview_rows, statistics_rows
@@ -80,8 +80,7 @@ def open_source(arguments: argparse.Namespace) -> tuple[str, Read]:
         DataError: If the source does not exist or nobody can read it.
     """
     path, name = arguments.source, arguments.format
-    if not path.exists():
-        raise DataError(f"{path} does not exist. Check the path.")
+    require_place(path)
     if name == "giorom" or (name is None and is_own(path)):
         return "giorom", lambda: own_trajectories(path)
     readers = {reader.name: reader for reader in READERS}

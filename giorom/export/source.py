@@ -14,7 +14,13 @@ import torch
 from torch import Tensor
 
 from giorom.data.metadata import DataError
-from giorom.data.readers import READERS, ForeignTrajectory, Reader, detect_format
+from giorom.data.readers import (
+    READERS,
+    ForeignTrajectory,
+    Reader,
+    detect_format,
+    require_place,
+)
 from giorom.data.trajectory_file import SPLITS
 from giorom.data.trajectory_stream import find_stored, is_ours
 from giorom.export.writer import MotionHeader
@@ -67,8 +73,7 @@ def open_source(
         raise ValueError(f"the stride must be >= 1, got {stride}.")
     if frame_dt is not None and not 0.0 < frame_dt < float("inf"):
         raise ValueError(f"the time between frames must be > 0 s, got {frame_dt!r}.")
-    if not path.exists():
-        raise DataError(f"{path} does not exist. Check the path.")
+    require_place(path)
     if format_name is None and is_ours(path):
         return _ours(path, split=split, index=index, stride=stride, frame_dt=frame_dt)
     reader = detect_format(path) if format_name is None else _named(format_name)

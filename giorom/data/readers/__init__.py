@@ -16,7 +16,15 @@ from giorom.data.readers.ply import PLY
 from giorom.data.readers.source import DataError, ForeignTrajectory, Reader
 from giorom.data.readers.vtk_files import VTK
 
-__all__ = ["READERS", "DataError", "ForeignTrajectory", "Reader", "detect_format", "from_arrays"]
+__all__ = [
+    "READERS",
+    "DataError",
+    "ForeignTrajectory",
+    "Reader",
+    "detect_format",
+    "from_arrays",
+    "require_place",
+]
 
 READERS: tuple[Reader, ...] = (
     GNS_TFRECORD,
@@ -34,6 +42,21 @@ READERS: tuple[Reader, ...] = (
 """Every reader, the most particular format first."""
 
 
+def require_place(path: Path) -> None:
+    """Refuse what can be no source, before anything is opened: a pipe would be waited for.
+
+    Args:
+        path: What to read.
+
+    Raises:
+        DataError: If it does not exist, or is neither a file nor a folder.
+    """
+    if not path.exists():
+        raise DataError(f"{path} does not exist. Check the path.")
+    if not (path.is_file() or path.is_dir()):
+        raise DataError(f"{path} is a device or a pipe; files and folders are read. Save it first.")
+
+
 def detect_format(path: Path) -> Reader:
     """The reader of a file or folder, told from its content.
 
@@ -43,8 +66,7 @@ def detect_format(path: Path) -> Reader:
     Raises:
         DataError: If it does not exist, or no reader knows it.
     """
-    if not path.exists():
-        raise DataError(f"{path} does not exist. Check the path.")
+    require_place(path)
     for reader in READERS:
         if reader.detect(path):
             return reader
