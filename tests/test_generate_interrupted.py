@@ -23,9 +23,12 @@ from giorom.data.lock import LOCK_FILE, WITHOUT_LOCKS, only_writer
 from giorom.data.metadata import DataError
 from giorom.data.work_folder import finished_parts, part_path
 from giorom.data.work_log import append_entry, keep_failures, read_entries
-from giorom.generate import generate, pool
+from giorom.generate import generate, pool, room
 from giorom.generate import trajectory as module
 from giorom.generate.trajectory import Job, Outcome
+from giorom.mpm import SolverConfig, draw_scene
+from giorom.mpm.scene_config import JELLY3D
+from giorom.mpm.simulate import Run
 
 COUNT = 5
 """Trajectories of each set."""
@@ -243,6 +246,19 @@ def test_runs_that_exceed_the_memory_are_refused(tiny, short, tmp_path, monkeypa
     with pytest.raises(ValueError, match=r"1024 cells per axis.* take about 16 GiB of memory"):
         make(fine, tmp_path / "fine")
     assert not (tmp_path / "fine").exists()
+
+
+def test_memory_of_a_particle_is_what_the_solver_holds_for_it():
+    """Counted in the arrays of a body of sand in space, which carries the most."""
+    sand = {"density": 1e3, "youngs_modulus": 1e5, "poissons_ratio": 0.2, "friction_angle": 30.0}
+    config = replace(JELLY3D, material="drucker_prager_sand", material_parameters=sand)
+    scene = draw_scene(replace(config, spacing=1.0 / 32.0), seed=0)
+    engine = Run(scene, SolverConfig(grid_cells=32, frame_dt=1e-3, frames=1))._engine
+    (group,) = engine._groups
+    held = [engine._x, engine._v, engine._affine, engine._stress, engine._volume, engine._mass]
+    held += [group.state, group.volume_correction]
+    found = sum(array.capacity for array in held) / len(scene.position)
+    assert found == room.BYTES_PER_PARTICLE
 
 
 class FakeWorker(pool._Worker):

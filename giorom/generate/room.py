@@ -20,8 +20,9 @@ of a clamped elastic body, 0.66 to 0.73 of thrown water, sand, goop and jelly.""
 WHOLE = 1.5
 """Size in memory of a trajectory whose statistics are measured, over that of its positions."""
 
-BYTES_PER_PARTICLE = 128
-"""Memory of the solver for one particle in three dimensions."""
+BYTES_PER_PARTICLE = 4 * (2 * 3 + 3 * 9 + 3)
+"""Memory of the solver for one particle in three dimensions, float32: position and velocity;
+affine velocity, stress and strain; volume, mass and volume correction."""
 
 
 def require_room(
