@@ -171,6 +171,16 @@ def test_stride_skip_unit_and_axes_change_what_they_say(tmp_path):
     assert len(report.notes) == 5  # four changes and the walls
 
 
+@pytest.mark.parametrize("frame_dt", [1e-320, 1e-200, 1e200])
+def test_an_absurd_time_between_frames_is_refused(tmp_path, frame_dt):
+    """Its square has no place in float64, so that no acceleration has."""
+    with pytest.raises(DataError, match="no float32 holds"):
+        load([foreign()], tmp_path / "set", conversion={"frame_dt": frame_dt})
+    with pytest.raises(DataError, match="no float32 holds"):
+        converted(foreign(frame_dt=frame_dt), Conversion())
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_walls_follow_unit_and_axes():
     """A box in cm seen with axes z, -x: both change, low stays below high."""
     box = np.array([[10.0, 20.0], [0.0, 1.0], [-5.0, 30.0]])

@@ -21,6 +21,9 @@ __all__ = ["UNITS", "Conversion", "converted"]
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 """Metres in each unit of length."""
 
+SHORTEST, LONGEST = 1e-18, 1e18
+"""Times between frames with which velocities and accelerations are numbers of float32 [s]."""
+
 AXES = "xyz"
 
 
@@ -121,12 +124,17 @@ def converted(source: ForeignTrajectory, conversion: Conversion) -> ForeignTraje
         conversion: What to change.
 
     Raises:
-        DataError: If the axes do not exist.
+        DataError: If the axes do not exist, or the time between frames is absurd.
     """
     kind = source.particle_type
     if conversion.particle_type is not None:
         kind = np.full_like(kind, conversion.particle_type)
     frame_dt = source.frame_dt if conversion.frame_dt is None else conversion.frame_dt
+    if frame_dt is not None and frame_dt > 0.0 and not SHORTEST <= frame_dt <= LONGEST:
+        raise DataError(
+            f"{source.name}: frames {frame_dt:g} s apart make velocities that no float32 holds; "
+            f"the time must lie between {SHORTEST:g} and {LONGEST:g} s. Give it with --frame-dt."
+        )
     count = source.frame_count
     if count is not None:
         count = max(0, -(-(count - conversion.skip) // conversion.stride))
