@@ -227,3 +227,12 @@ def test_missing_and_empty_mesh_files_are_refused(tmp_path: Path):
     empty.write_text("# no faces\n")
     with pytest.raises(ValueError, match=r"empty\.obj"):
         load_mesh_shape(empty, size=1.0)
+
+
+@pytest.mark.parametrize("suffix", [".zip", ".3mf", ".gltf", ".dae"])
+def test_mesh_files_that_may_hide_more_are_not_opened(tmp_path: Path, suffix: str):
+    """An archive of 1 MB can hold a mesh of gigabytes."""
+    path = (tmp_path / "ball").with_suffix(suffix)
+    path.write_bytes(b"PK\x03\x04")
+    with pytest.raises(ValueError, match=r"is of no kind that is read: \.obj, \.stl"):
+        load_mesh_shape(path, size=1.0)

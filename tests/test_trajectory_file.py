@@ -309,7 +309,10 @@ def _metadata_text(**changes):
         ("frame_dt", np.nan, "frame_dt=nan"),
         ("frame_dt", -1.0, "frame_dt=-1.0"),
         ("bounds", [[0.0, np.inf], [0.0, 1.0]], "must be finite"),
+        ("bounds", [[-1e308, 1e308], [0.0, 1.0]], "must be finite in float32"),
+        ("bounds", [[0.0j, 1.0], [0.0, 1.0]], "no numbers"),
         ("attributes", 5, "no JSON object"),
+        ("attributes", "[" * 20_000, "no JSON object"),
         ("attributes", "[1]", "no JSON object"),
     ],
 )

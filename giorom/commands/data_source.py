@@ -100,7 +100,7 @@ def file_statistics(path: Path, *, scale: float, axes: str | None) -> Statistics
     """
     file = (path if path.is_dir() else path.parent) / "metadata.json"
     try:
-        if axes is not None or file.stat().st_size > METADATA_BYTES:
+        if axes is not None or not file.is_file() or file.stat().st_size > METADATA_BYTES:
             return None
         found = Statistics.from_metadata(json.loads(file.read_text(encoding="utf-8")))
     except (OSError, ValueError, TypeError, RecursionError):

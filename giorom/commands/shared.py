@@ -2,6 +2,7 @@
 
 import argparse
 import os
+import re
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -19,8 +20,16 @@ MOST_THREADS = 1024
 """Most threads asked of PyTorch; far more than it can start end the process without a word."""
 
 
+NEGATIVE_NUMBER = re.compile(r"-(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$")
+"""What is a value and no option; argparse before Python 3.14 takes ``-1e-3`` for an option."""
+
+
 class RefusingParser(argparse.ArgumentParser):
-    """A parser whose complaints are one line, like all others."""
+    """A parser whose complaints are one line, like all others, and that knows ``-1e-3``."""
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        self._negative_number_matcher = NEGATIVE_NUMBER
 
     def error(self, message: str) -> None:
         """Refuse the arguments."""

@@ -124,7 +124,7 @@ def converted(source: ForeignTrajectory, conversion: Conversion) -> ForeignTraje
         conversion: What to change.
 
     Raises:
-        DataError: If the axes do not exist, or the time between frames is absurd.
+        DataError: If the axes do not exist, or the time between frames or the walls are absurd.
     """
     kind = source.particle_type
     if conversion.particle_type is not None:
@@ -141,6 +141,11 @@ def converted(source: ForeignTrajectory, conversion: Conversion) -> ForeignTraje
     bounds = conversion.walls()
     if bounds is None and source.bounds is not None:
         bounds = _moved_bounds(source.bounds.astype(np.float64), conversion, source.name)
+    if bounds is not None and not (np.abs(bounds) <= np.finfo(np.float32).max).all():
+        raise DataError(
+            f"{source.name} has walls at {bounds.tolist()} m, which are no places. Give the right "
+            f"ones with --bounds LOW HIGH for each axis."
+        )
     return replace(
         source,
         particle_type=kind,

@@ -142,19 +142,19 @@ def _scene(
     try:
         frame_dt = float(known["frame_dt"] if "frame_dt" in known else _foreign_frame_dt(given))
         bounds = known["bounds"] if "bounds" in known else given["bounds"]
-        bounds = np.asarray(bounds, dtype=np.float64)
+        bounds = np.asarray(bounds).astype(np.float64, casting="same_kind")
     except (TypeError, ValueError):
         raise DataError(
             f"{where} has a frame_dt or bounds that are no numbers. Remake it."
         ) from None
-    if not (0.0 < frame_dt < math.inf and np.isfinite(bounds).all()):
+    if not (0.0 < frame_dt < math.inf and (np.abs(bounds) <= np.finfo(np.float32).max).all()):
         raise DataError(
             f"{where} has frame_dt={frame_dt!r} and bounds {str(bounds.tolist())[:120]}; the "
-            f"frame time must be > 0 s and all must be finite. Remake it."
+            f"frame time must be > 0 s and all must be finite in float32. Remake it."
         )
     try:
         attributes = json.loads(known.get("attributes", "{}"))
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, RecursionError):
         attributes = None
     if not isinstance(attributes, dict):
         raise DataError(f"{where} has attributes that are no JSON object. Remake the file.")

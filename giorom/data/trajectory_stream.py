@@ -89,6 +89,8 @@ def is_ours(path: Path) -> bool:
 
     if path.is_dir():
         return any(is_ours(split_path(path, split)) for split in SPLITS)
+    if not path.is_file():  # the library would wait at a pipe for ever
+        return False
     try:
         with h5py.File(path, "r") as file:
             return "giorom_format_version" in file.attrs

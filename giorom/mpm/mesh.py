@@ -21,6 +21,9 @@ from giorom.mpm.shapes import Shape
 RAY_AXIS = 1
 """Axis along which the rays run."""
 
+EXTENSIONS = (".obj", ".stl", ".ply", ".off", ".glb")
+"""Mesh files that are read; each is one file without a packing that could hide more."""
+
 PAIRS_AT_ONCE = 4_000_000
 """Point-triangle pairs tested in one piece; bounds the memory to about 0.5 GB."""
 
@@ -29,14 +32,15 @@ def load_mesh_shape(path: str | Path, *, size: float) -> Shape:
     """Read a closed mesh and scale it.
 
     Args:
-        path: A file that trimesh reads (.obj, .stl, .ply, .off, .glb).
+        path: A file of one of ``EXTENSIONS``.
         size: Length of the longest edge of its bounding box after scaling [m].
 
     Returns:
         The shape; its volume is that of the mesh.
 
     Raises:
-        ValueError: If the file is missing, unreadable, not a triangle mesh or not closed.
+        ValueError: If the file is of another kind, missing, unreadable, not a triangle mesh or not
+            closed.
     """
     mesh = _read(Path(path))
     triangles = np.asarray(mesh.vertices, dtype=np.float64)[np.asarray(mesh.faces)]
@@ -55,6 +59,11 @@ def load_mesh_shape(path: str | Path, *, size: float) -> Shape:
 
 
 def _read(path: Path) -> Any:
+    if path.suffix.lower() not in EXTENSIONS:  # trimesh would unpack archives and follow links
+        raise ValueError(
+            f"mesh file {path} is of no kind that is read: {', '.join(EXTENSIONS)}. Export it as a "
+            f"triangle .obj."
+        )
     if not os.path.isfile(path):
         raise ValueError(f"mesh file {path} does not exist. Give the path of a closed mesh.")
     import trimesh
