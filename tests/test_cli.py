@@ -202,6 +202,13 @@ def test_help_does_not_wait_for_pytorch():
     assert b"simulate" in done.stdout
 
 
+def test_names_of_models_are_whole_on_a_narrow_screen(capsys, monkeypatch):
+    """A name that is cut short cannot be given to ``--pretrained``."""
+    monkeypatch.setenv("COLUMNS", "60")
+    assert main(["models"]) == 0
+    assert "elastic3d-small " in capsys.readouterr().out
+
+
 def test_unknown_command_offers_the_nearest(capsys):
     """A typing error costs one line."""
     assert main(["simulat"]) == 2

@@ -222,6 +222,27 @@ def test_a_plane_motion_in_space_is_named_and_the_advice_cures_it():
     assert suspicions(*motions, conversion=Conversion(axes="x,y")) == []
 
 
+def test_constant_speed_along_an_axis_is_no_acceleration_however_it_is_rounded():
+    """Positions a + v t have no second difference; what float64 leaves of it is 1e-16."""
+    time = FRAME_DT * np.arange(FRAMES)[:, None]
+
+    def coast(position):
+        position = position.copy()
+        position[..., 2] = position[0, :, 2] + 0.3 * time
+        return position
+
+    motions = [foreign(coast(p), dtype=np.float64) for p in map_seeds()]
+    only(suspicions(*motions), "nothing accelerates along z")
+
+
+def test_free_fall_alone_teaches_nothing():
+    """Every second difference is g dt^2: their deviation is rounding."""
+    time = FRAME_DT * np.arange(FRAMES)[:, None, None]
+    fall = np.array([0.0, -0.5 * 9.81, 0.0]) * time**2
+    motions = [foreign(p[:1] + fall, dtype=np.float64) for p in map_seeds()]
+    only(suspicions(*motions), "all particles accelerate alike")
+
+
 # Frames.
 
 
@@ -256,7 +277,9 @@ def test_short_trajectories_are_said():
 
 
 def test_fewer_than_three_trajectories_are_said():
-    only(suspicions(foreign(motion())), "there are 1 trajectories")
+    only(suspicions(foreign(motion())), "there is 1 trajectory; training needs at least three")
+    pair = [foreign(motion(seed=seed)) for seed in range(2)]
+    only(suspicions(*pair), "there are 2 trajectories")
 
 
 # Particles.

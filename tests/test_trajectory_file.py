@@ -153,7 +153,7 @@ def test_two_trajectories_are_both_for_training():
 def test_an_empty_split_is_empty_and_not_an_error(tmp_path):
     folder = make_dataset(tmp_path / "set", count=2)
     assert [trajectory_count(folder, s) for s in ("train", "valid", "test")] == [2, 0, 0]
-    with pytest.raises(DataError, match="has no trajectory 0; it holds 0"):
+    with pytest.raises(DataError, match=r"has no trajectory 0; it holds 0, .*--split train"):
         read_trajectory(folder, "test", 0)
 
 
@@ -210,6 +210,17 @@ def test_another_data_set_is_not_written_over(tmp_path, change):
     open_work_folder(tmp_path, identity=IDENTITY)
     with pytest.raises(DataError, match=f"holds another data set: its {next(iter(change))}"):
         open_work_folder(tmp_path, identity={**IDENTITY, **change})
+
+
+def test_of_another_scene_only_what_differs_is_said(tmp_path):
+    """A scene has two dozen fields; the reader wants the one that is not the same."""
+    scene = {"material": "water", "solver": {"frames": 3, "cells": 8}, "gravity": 9.81}
+    open_work_folder(tmp_path, identity={"scene": scene})
+    other = {**scene, "solver": {"frames": 5, "cells": 8}}
+    with pytest.raises(DataError) as caught:
+        open_work_folder(tmp_path, identity={"scene": other})
+    assert "its scene.solver.frames is 3, not 5. Choose" in str(caught.value)
+    assert "water" not in str(caught.value)
 
 
 def test_a_data_set_of_unknown_origin_is_not_written_over(tmp_path):

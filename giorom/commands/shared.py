@@ -126,7 +126,8 @@ def print_table(
 
     table = Table(title=title, title_justify="left")
     for number, column in enumerate(header):
-        table.add_column(column, justify="left" if number == 0 else "right")
+        first = number == 0
+        table.add_column(column, justify="left" if first else "right", no_wrap=first)
     for row in rows:
         table.add_row(*row)
     Console(soft_wrap=True, markup=False, highlight=False).print(table)

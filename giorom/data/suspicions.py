@@ -26,6 +26,9 @@ GRAVITY_TOLERANCE = 0.15
 ROUNDING_SHARE = 0.1
 """Largest share of rounding in the size of the accelerations that is let pass."""
 
+STILL_SHARE = 1e-4
+"""Accelerations along an axis below this share of the largest axis count as none."""
+
 STATISTICS_FACTOR = 1.25
 """Largest factor between statistics of a file and measured ones that is let pass."""
 
@@ -76,7 +79,8 @@ def _identity(motions: list[MotionSummary]) -> Iterator[str]:
         yield (
             f"in {len(shuffled)} of {len(motions)} trajectories ({shuffled[0].name} ...) a row is "
             f"not the same particle in every frame: neighbouring rows move as unlike as strangers. "
-            f"Velocities are meaningless; write the frames again sorted by particle number."
+            f"Velocities are meaningless; write the frames again sorted by particle number, "
+            f"or (PLY, VTK, CSV) with a whole number 'id' for each particle."
         )
     jumps = [m for m in motions if m.jump_at is not None and not m.shuffled]
     if jumps:
@@ -131,14 +135,27 @@ def _gravity(facts: dict[str, Any]) -> Iterator[str]:
 
 def _flat(facts: dict[str, Any]) -> Iterator[str]:
     spread = facts["statistics"].get("acc_std", [])
-    still = ["xyz"[axis] for axis, value in enumerate(spread) if value == 0.0]
-    moving = ["xyz"[axis] for axis, value in enumerate(spread) if value > 0.0]
+    least = STILL_SHARE * max(_acceleration_sizes(facts), default=0.0)
+    still = ["xyz"[axis] for axis, value in enumerate(spread) if value <= least]
+    moving = ["xyz"[axis] for axis, value in enumerate(spread) if value > least]
+    if still and not moving and least > 0.0:
+        yield (
+            "all particles accelerate alike in every frame, as in free fall: there is nothing to "
+            "learn. Take motions that meet walls or each other."
+        )
     if still and moving:
         remedy = f"Import with --axes {','.join(moving)}" if len(moving) == 2 else "Leave it out"
         yield (
             f"nothing accelerates along {', '.join(still)}, so accelerations cannot be normalised "
             f"there. {remedy} if the motion is plane."
         )
+
+
+def _acceleration_sizes(facts: dict[str, Any]) -> list[float]:
+    """Root mean square of the accelerations along each axis [m/frame^2]."""
+    statistics = facts["statistics"]
+    pairs = zip(statistics.get("acc_mean", []), statistics.get("acc_std", []), strict=True)
+    return [math.hypot(*pair) for pair in pairs]
 
 
 def _repeated(motions: list[MotionSummary]) -> Iterator[str]:
@@ -178,9 +195,8 @@ def _outside(motions: list[MotionSummary]) -> Iterator[str]:
 
 def _rounding(motions: list[MotionSummary], facts: dict[str, Any]) -> Iterator[str]:
     grids = [m.grid for m in motions if m.grid is not None]
-    statistics = facts["statistics"]
-    pairs = zip(statistics.get("acc_mean", []), statistics.get("acc_std", []), strict=True)
-    sizes = [math.hypot(*pair) for pair in pairs if pair[1] > 0.0]
+    sizes = _acceleration_sizes(facts)
+    sizes = [size for size in sizes if size > STILL_SHARE * max(sizes)]
     if not grids or not sizes:
         return
     coarsest = max(grids, key=lambda grid: grid.step)
@@ -232,8 +248,9 @@ def _sizes(motions: list[MotionSummary], facts: dict[str, Any]) -> Iterator[str]
             f"frames and one to predict needs 7. Store more frames or lower features.velocities."
         )
     if len(motions) < 3:
+        held = "is 1 trajectory" if len(motions) == 1 else f"are {len(motions)} trajectories"
         yield (
-            f"there are {len(motions)} trajectories; training needs at least three, so that one "
+            f"there {held}; training needs at least three, so that one "
             f"can validate and one can test. Add some."
         )
     step = facts["largest_step"]["over_radius"]

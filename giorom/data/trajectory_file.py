@@ -31,6 +31,7 @@ __all__ = [
     "SPLITS",
     "DataError",
     "iterate_trajectories",
+    "no_such_trajectory",
     "read_metadata",
     "read_trajectory",
     "read_trajectory_file",
@@ -106,11 +107,16 @@ def read_trajectory(
     with opened(path) as file:
         count = len(trajectory_names(file))
         if not 0 <= index < count:
-            raise DataError(
-                f"{path} has no trajectory {index}; it holds {count}, numbered from 0. "
-                f"Ask for a number below {count}."
-            )
+            raise no_such_trajectory(path, index, count=count)
         return _read_group(file, f"{index:05d}", path=path, metadata=metadata, frames=frames)
+
+
+def no_such_trajectory(path: Path, index: int, *, count: int) -> DataError:
+    """The error that a file of ``count`` trajectories has none of that number."""
+    remedy = f"Ask for a number below {count}." if count else "Take another part: --split train."
+    return DataError(
+        f"{path} has no trajectory {index}; it holds {count}, numbered from 0. {remedy}"
+    )
 
 
 def iterate_trajectories(folder: Path, split: str) -> Iterator[Trajectory]:

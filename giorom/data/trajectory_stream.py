@@ -13,11 +13,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from giorom.data.metadata import DataError, read_metadata
+from giorom.data.metadata import read_metadata
 from giorom.data.readers.hdf5_guard import rows_of
 from giorom.data.trajectory_file import (
     CHUNK_BYTES,
     SPLITS,
+    no_such_trajectory,
     opened,
     split_path,
     trajectory_names,
@@ -117,10 +118,7 @@ def find_stored(path: Path, *, split: str, index: int) -> StoredTrajectory:
     with opened(path) as file:
         names = trajectory_names(file)
         if not 0 <= index < len(names):
-            raise DataError(
-                f"{path} has no trajectory {index}; it holds {len(names)}, numbered from 0. "
-                f"Ask for a number below {len(names)}."
-            )
+            raise no_such_trajectory(path, index, count=len(names))
         return _stored(file, names[index], path=path, metadata=metadata)
 
 

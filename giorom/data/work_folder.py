@@ -71,9 +71,17 @@ def open_work_folder(folder: Path, *, identity: Mapping[str, Any]) -> None:
         ours, theirs = wanted.get(key), (known or {}).get(key)
         if ours != theirs:
             raise DataError(
-                f"{folder} holds another data set: its {key} is {theirs!r}, not {ours!r}. "
+                f"{folder} holds another data set: {_difference(key, theirs, ours)}. "
                 f"Choose another folder or the same settings."
             )
+
+
+def _difference(key: str, theirs: Any, ours: Any) -> str:
+    """What differs between two settings; of groups, only the entries that do."""
+    if not (isinstance(theirs, dict) and isinstance(ours, dict)):
+        return f"its {key} is {theirs!r}, not {ours!r}"
+    names = [name for name in {**theirs, **ours} if theirs.get(name) != ours.get(name)]
+    return "; ".join(_difference(f"{key}.{n}", theirs.get(n), ours.get(n)) for n in names)
 
 
 def write_part(folder: Path, index: int, trajectory: Trajectory) -> Path:

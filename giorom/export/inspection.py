@@ -216,6 +216,7 @@ def _per_axis(ax: Any, rows: np.ndarray) -> None:
             label="xyz"[axis],
             log=True,
         )
+    ax.set_ylim(bottom=0.5)
     ax.set_ylabel("particles and frames")
     ax.legend(fontsize=8, frameon=False)
 
