@@ -150,7 +150,8 @@ class DruckerPragerSand(Hencky):
     particle_type: ClassVar[int] = SAND
 
     friction_angle: float
-    """Angle of internal friction, between 0 and 90 [degrees]."""
+    """Angle of internal friction, between 0 and 90 [degrees]. In 3-D that of triaxial compression;
+    in plane flow the 3-D cone holds like a larger one (31 like 46, see ``cone_slope``)."""
 
     cohesion_strain: float = 0.0
     """Logarithmic strain per axis that holds before the grains part [-]; 0: dry."""
