@@ -341,6 +341,18 @@ def test_particles_that_leave_the_bounds_are_counted_and_the_advice_cures_it():
     assert suspicions(*motions, conversion=Conversion(bounds=tuple(wider))) == []
 
 
+@pytest.mark.parametrize(("beyond", "named"), [(0.9, False), (1.1, True)])
+def test_a_particle_pressed_on_a_wall_by_less_than_a_spacing_is_none_outside(beyond, named):
+    """Walls act through a grid or a kernel about a spacing wide, so the middle may pass them."""
+    start = np.stack(np.meshgrid(*[np.linspace(0.0, 1.0, 6)] * 3, indexing="ij"), -1).reshape(-1, 3)
+    shaken = np.random.default_rng(0).normal(scale=1e-3, size=(FRAMES, 1, 1))
+    position = start + shaken.cumsum(0) - shaken[0]
+    walls = np.array([[-1.0, position[..., axis].max()] for axis in range(3)])
+    walls[:, 1] -= beyond * 0.2
+    found = suspicions(*(foreign(position, bounds=walls) for _ in range(3)))
+    assert any("leave the given bounds" in text for text in found) == named
+
+
 def test_frozen_particles_are_told_from_kinematic_ones():
     """A wall without a type is suspicious, a wall of type 3 is not."""
 

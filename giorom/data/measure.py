@@ -40,6 +40,9 @@ SUGGESTION_POINTS = 20_000
 WALL_TOLERANCE = 1e-5
 """How far beyond a wall, relative to the domain, rounding may put a particle."""
 
+PRESSED = 1.0
+"""How far beyond a wall pressure may put the middle of a particle [spacing]."""
+
 FLIGHT_FRAMES = 40
 """Frames at the beginning all of which are asked whether everything falls."""
 
@@ -191,7 +194,8 @@ class MotionMeasure:
         self.low = np.minimum(self.low, rows.min(axis=0, initial=np.inf))
         self.high = np.maximum(self.high, rows.max(axis=0, initial=-np.inf))
         if self.bounds is not None:
-            slack = WALL_TOLERANCE * (self.bounds[:, 1] - self.bounds[:, 0])
+            spacing = 0.0 if self.neighbors is None else self.neighbors.spacing
+            slack = WALL_TOLERANCE * (self.bounds[:, 1] - self.bounds[:, 0]) + PRESSED * spacing
             low, high = self.bounds[:, 0] - slack, self.bounds[:, 1] + slack
             self.beyond |= self.sound & ((position < low) | (position > high)).any(axis=1)
         if self._shown is not None:
