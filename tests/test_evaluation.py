@@ -19,7 +19,7 @@ from giorom.evaluation.referee import judge, scene_with_points
 from giorom.evaluation.rollout import roll_out
 from giorom.evaluation.trivial import constant_velocity, free_fall, hold_still
 from giorom.integrate import finite_differences
-from giorom.mpm import draw_scene, simulate
+from giorom.mpm import MaterialSwitch, draw_scene, simulate
 from giorom.pipeline import start_from_trajectory
 from giorom.state import KINEMATIC, Trajectory
 
@@ -254,6 +254,15 @@ def test_oracle_agrees_with_the_referee(simulator, tiny):
     assert seconds.pop("total") == pytest.approx(sum(seconds.values()))
     assert torch.equal(verdict.truth.position, truth)
     assert verdict.predicted.position.shape == truth.shape
+
+
+def test_demo_shorter_than_a_change_of_material_is_judged_without_it(simulator, tiny):
+    """Before the switch the motion is that of the first material, switch or not."""
+    scene = draw_scene(tiny.scene, seed=7, shape="capsule")
+    truth = simulate(scene, replace(tiny.solver, frames=7)).position
+    melting = MaterialSwitch(frame=6, material_index=0, material=scene.materials[0])
+    verdict = judge(make_oracle(simulator, truth), replace(scene, switch=melting), frames=6)
+    assert torch.equal(verdict.truth.position, truth)
 
 
 def test_spacing_follows_from_the_wanted_number_of_points(tiny):

@@ -53,7 +53,7 @@ def judge(
     )
     device = str(next(simulator.parameters()).device)
     solver = replace(simulator.config.solver, frames=frames + 1)
-    truth = simulate(scene, solver, device=device)
+    truth = simulate(_within(scene, frames), solver, device=device)
     scores = _compare(simulator.to("cpu"), scene, samples, predicted, truth)
     simulator.to(device)
     solver_seconds = float(truth.attributes["seconds"]) / frames
@@ -94,6 +94,12 @@ def scene_with_points(config: SceneConfig, *, points: int | None, found: int) ->
         return replace(config, points=max(1, round(config.points * points / found)))
     factor = (found / points) ** (1.0 / config.dimension)
     return replace(config, spacing=config.spacing * factor)
+
+
+def _within(scene: Scene, frames: int) -> Scene:
+    """The scene without a change of material that so short a run does not reach."""
+    is_reached = scene.switch is None or scene.switch.frame < frames
+    return scene if is_reached else replace(scene, switch=None)
 
 
 def _timed_rollout(

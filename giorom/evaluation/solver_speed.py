@@ -18,7 +18,7 @@ import torch
 from giorom.evaluation.referee import scene_with_points
 from giorom.mpm import SceneConfig, SolverConfig, draw_scene
 from giorom.mpm.materials import MATERIALS
-from giorom.mpm.simulate import Run, largest_substep
+from giorom.mpm.simulate import Run, chosen_substeps, largest_substep
 
 BLOCK_WORK = 3_000_000
 """Fewest particle-substeps of a timed block; about a second on one core."""
@@ -176,7 +176,7 @@ def _time_blocks(
     solver = SolverConfig(
         grid_cells=case.grid_cells, frame_dt=frame_dt, frames=1, substeps=case.substeps
     )
-    substeps = Run(scene, solver, device=device).substeps
+    substeps = chosen_substeps(scene, solver)
     block = max(1, -(-BLOCK_WORK // (len(scene.position) * substeps)))
     run = Run(scene, replace(solver, frames=1 + block * (repeats + 1)), device=device)
     frames = run.frames()

@@ -99,8 +99,8 @@ def simulate(
         are the effective wall planes; ``attributes`` hold what made it and how long it took.
 
     Raises:
-        ValueError: If a position is not finite or outside the walls, or a time-step rule is
-            broken before the run.
+        ValueError: If a position is not finite or outside the walls, a time-step rule is
+            broken before the run, or the run ends before its change of material.
         SimulationError: If a guard is broken during the run.
 
     Source:
@@ -194,11 +194,23 @@ def require_runnable(scene: Scene, solver: SolverConfig) -> tuple[Walls, int]:
 
     Raises:
         ValueError: If the scene does not lie inside its walls, a wall is too near the side of the
-            box, or a time-step rule is broken.
+            box, a time-step rule is broken, or the run ends before its change of material.
     """
+    _require_switch_in_run(scene, solver)
     walls = walls_of(scene, solver.grid_cells)
     walls.require_inside(scene.position)
     return walls, chosen_substeps(scene, solver)
+
+
+def _require_switch_in_run(scene: Scene, solver: SolverConfig) -> None:
+    """Refuse a change of material that no stored frame would show."""
+    if scene.switch is not None and scene.switch.frame > solver.frames - 2:
+        raise ValueError(
+            f"MaterialSwitch.frame is {scene.switch.frame}, but the run has {solver.frames} frames "
+            f"(0 to {solver.frames - 1}), so that none would be of the new material. Raise "
+            f"SolverConfig.frames (--solver.frames) to {scene.switch.frame + 2} or more, or lower "
+            f"scene.switch.frame."
+        )
 
 
 def fastest_speed(scene: Scene) -> float:

@@ -264,6 +264,22 @@ def test_melted_state_obeys_the_yield_surface_of_sand_at_once():
     assert float(beyond_the_cone(engine.strain()).max()) < tolerance
 
 
+@pytest.mark.parametrize("frame", [15, 16, 40])
+def test_switch_that_no_frame_of_the_run_would_show_is_refused(frame: int):
+    """The law changes after frame s, so that a run of n frames shows it if s <= n - 2."""
+    solver = SolverConfig(grid_cells=CELLS, frame_dt=5e-3, frames=16)
+    with pytest.raises(
+        ValueError,
+        match=rf"frame is {frame}, but the run has 16 .*--solver.frames\) to {frame + 2}",
+    ) as caught:
+        simulate(melting(frame), solver)
+    assert "\n" not in str(caught.value)
+    last = simulate(melting(14), solver).position
+    assert not torch.equal(
+        last[15], simulate(changed(melting(14), switch=None), solver).position[15]
+    )
+
+
 def test_switch_to_the_same_law_changes_no_bit():
     """A change to what it is: strain and stress are carried over."""
     scene = bodies([RUBBER], [[0.5, 0.14]], [[0.3, -2.0]], gravity=9.8)
