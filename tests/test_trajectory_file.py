@@ -223,6 +223,12 @@ def test_of_another_scene_only_what_differs_is_said(tmp_path):
     assert "water" not in str(caught.value)
 
 
+def test_another_system_is_said_by_its_name_and_not_by_its_scene(tmp_path):
+    open_work_folder(tmp_path, identity={"system": "sand2d", "scene": {"gravity": 9.8}})
+    with pytest.raises(DataError, match=r"its system is 'sand2d', not 'water2d'\. Choose"):
+        open_work_folder(tmp_path, identity={"system": "water2d", "scene": {"gravity": 0.0}})
+
+
 def test_a_data_set_of_unknown_origin_is_not_written_over(tmp_path):
     (tmp_path / "train.h5").write_bytes(b"precious")
     with pytest.raises(DataError, match=r"train\.h5 of another origin"):

@@ -67,7 +67,9 @@ def open_work_folder(folder: Path, *, identity: Mapping[str, Any]) -> None:
             )
         write_json(folder / "work.json", wanted)
         known = _read_identity(folder)
-    for key in sorted({*(known or {}), *wanted}):
+    for key in sorted(
+        {*(known or {}), *wanted}, key=lambda k: (isinstance(wanted.get(k), dict), k)
+    ):
         ours, theirs = wanted.get(key), (known or {}).get(key)
         if ours != theirs:
             raise DataError(
