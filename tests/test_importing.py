@@ -320,7 +320,15 @@ def test_data_without_a_free_particle_are_refused(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "second", [{"position": bad_positions()}, {"frames": truncated}, {"frames": grown}]
+    "second",
+    [
+        {"position": bad_positions()},
+        {"frames": truncated},
+        {"frames": grown},
+        {"frame_dt": 2.0 * FRAME_DT},
+        {"frame_dt": None},
+        {"particle_type": np.full(30, 77)},
+    ],
 )
 def test_bad_trajectories_can_be_left_out_and_are_listed(tmp_path, second):
     source = [foreign(0), foreign(1, **second), foreign(2), foreign(3)]
@@ -330,6 +338,30 @@ def test_bad_trajectories_can_be_left_out_and_are_listed(tmp_path, second):
     assert sum(note.startswith("Left out: file[1]") for note in report.notes) == 1
     whole = load([foreign(0), foreign(2), foreign(3)], tmp_path / "other")
     assert report.facts == whole.facts
+
+
+def broken_off(readable):
+    """A reader that gives up after some trajectories."""
+    yield from (foreign(i) for i in range(readable))
+    raise DataError("file: record 3 fails its check sum. Copy it again.")
+
+
+def test_what_was_read_before_a_source_broke_off_can_be_kept(tmp_path):
+    """The same as the readable part alone, except that it says what is missing."""
+    report = load(broken_off(3), tmp_path / "set", drop_bad=True)
+    whole = load([foreign(i) for i in range(3)], tmp_path / "other")
+    assert report.facts == whole.facts
+    assert stored(tmp_path / "set").keys() == stored(tmp_path / "other").keys()
+    said = [note for note in report.notes if "The rest of the source could not be read" in note]
+    assert said == [note for note in report.notes if "record 3 fails its check sum" in note]
+    assert len(said) == 1
+
+
+@pytest.mark.parametrize(("readable", "drop_bad"), [(0, True), (3, False)])
+def test_a_source_that_breaks_off_is_refused_without_leave_or_content(tmp_path, readable, drop_bad):
+    with pytest.raises(DataError, match="record 3 fails its check sum"):
+        load(broken_off(readable), tmp_path / "set", drop_bad=drop_bad)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_when_all_are_bad_nothing_is_left(tmp_path):

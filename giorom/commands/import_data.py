@@ -41,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--drop-bad-trajectories",
         action="store_true",
-        help="leave out trajectories that are damaged or not finite",
+        help="leave out trajectories that are damaged, not finite or unlike the first",
     )
 
 

@@ -16,16 +16,17 @@ import numpy as np
 
 from giorom.data.atomic import replacing_folder, write_json
 from giorom.data.conversion import Conversion, converted
+from giorom.data.import_checks import check_like, checked_frames
 from giorom.data.measure import MotionSummary, SetMeasure
 from giorom.data.metadata import DataError
-from giorom.data.readers.source import MOST_PARTICLES, ForeignTrajectory
+from giorom.data.readers.source import ForeignTrajectory
 from giorom.data.report import Origin, Report, make_report
 from giorom.data.report_text import markdown
 from giorom.data.statistics import StatisticsAccumulator
 from giorom.data.trajectory_file import SPLITS, attributes_text
 from giorom.data.trajectory_writer import open_trajectory_writer
 from giorom.data.work_folder import assemble_dataset, open_work_folder, part_path, split_parts
-from giorom.state import KINEMATIC, PARTICLE_TYPE_COUNT
+from giorom.state import KINEMATIC
 
 __all__ = ["ImportOptions", "Progress", "import_trajectories", "measure_trajectories"]
 
@@ -50,7 +51,8 @@ class ImportOptions:
     """Give particles that never move the kinematic type; every motion is read twice for it."""
 
     drop_bad: bool = False
-    """Leave trajectories out that are damaged or not finite, instead of refusing the source."""
+    """Leave trajectories out that are damaged, not finite or unlike the first, and what follows
+    where the source itself breaks off, instead of refusing the source."""
 
     limit: int | None = None
     """Most trajectories to take."""
@@ -73,6 +75,8 @@ class _Progressing:
     progress: Progress
     measure: SetMeasure = field(default_factory=SetMeasure)
     dropped: list[str] = field(default_factory=list)
+    unread: list[str] = field(default_factory=list)
+    """Why the rest of the source could not be read."""
     complete: bool = True
 
 
@@ -103,9 +107,9 @@ def measure_trajectories(
             complete = False
             break
         motion = converted(foreign, conversion)
-        _check_like(motion, measure.motions, frame_dt_needed=False)
+        check_like(motion, measure.motions, frame_dt_needed=False)
         gauge = measure.begin(motion.name, motion.particle_type, motion.bounds)
-        for frame in _checked_frames(motion, measure.motions, finite=False):
+        for frame in checked_frames(motion, measure.motions, finite=False):
             gauge.add(frame)
             progress(motion.name, 1)
         gauge.finish(
@@ -171,7 +175,7 @@ def _fill(state: _Progressing, source: Iterable[ForeignTrajectory], origin: Orig
             "conversion": json.loads(json.dumps(asdict(conversion))),
         },
     )
-    for foreign in source:
+    for foreign in _readable(state, source):
         if state.options.limit is not None and len(state.measure.motions) >= state.options.limit:
             state.complete = False
             break
@@ -182,7 +186,7 @@ def _fill(state: _Progressing, source: Iterable[ForeignTrajectory], origin: Orig
         raise DataError(f"{origin.source} holds no trajectory to import.{why}")
     bounds, said = _walls(motions)
     splits, divided = _splits(motions, state.options.shares)
-    left_out = [f"Left out: {reason}" for reason in state.dropped]
+    left_out = [*(f"Left out: {reason}" for reason in state.dropped), *state.unread]
     complete = state.complete and conversion.stride == 1 and conversion.skip == 0
     notes = (*origin.notes, *conversion.notes(), *said, *divided, *left_out)
     origin = replace(origin, notes=notes, complete=complete and not state.dropped)
@@ -204,12 +208,25 @@ def _fill(state: _Progressing, source: Iterable[ForeignTrajectory], origin: Orig
     return report
 
 
+def _readable(
+    state: _Progressing, source: Iterable[ForeignTrajectory]
+) -> Iterator[ForeignTrajectory]:
+    """The trajectories of a source up to where its reader gives up, if that may be left out."""
+    try:
+        yield from source
+    except DataError as error:
+        if not (state.options.drop_bad and state.measure.motions):
+            raise
+        state.unread.append(f"The rest of the source could not be read: {error}")
+        state.complete = False
+
+
 def _take(state: _Progressing, foreign: ForeignTrajectory) -> None:
     """Write and measure one trajectory, or drop it."""
     motions = state.measure.motions
-    motion = converted(foreign, state.options.conversion)
-    _check_like(motion, motions, frame_dt_needed=True)
     try:
+        motion = converted(foreign, state.options.conversion)
+        check_like(motion, motions, frame_dt_needed=True)
         if state.options.frozen_kinematic:
             motion = _with_walls(motion)
         _store(state, motion, part_path(state.folder, len(motions)))
@@ -222,7 +239,7 @@ def _take(state: _Progressing, foreign: ForeignTrajectory) -> None:
 def _store(state: _Progressing, motion: ForeignTrajectory, path: Path) -> None:
     """Write one trajectory to its part, measuring it on the way; its walls are set later."""
     gauge = state.measure.begin(motion.name, motion.particle_type, motion.bounds)
-    frames = _checked_frames(motion, state.measure.motions, finite=True)
+    frames = checked_frames(motion, state.measure.motions, finite=True)
     first = next(frames, None)
     if first is None:
         raise DataError(f"{motion.name} has no frame to keep. Lower --skip or leave it out.")
@@ -248,7 +265,7 @@ def _store(state: _Progressing, motion: ForeignTrajectory, path: Path) -> None:
 def _with_walls(motion: ForeignTrajectory) -> ForeignTrajectory:
     """The same motion, particles that never move made kinematic where others do move."""
     first, moved = None, np.zeros(len(motion.particle_type), bool)
-    for frame in _checked_frames(motion, [], finite=True):
+    for frame in checked_frames(motion, [], finite=True):
         first = frame.copy() if first is None else first
         moved |= (frame != first).any(axis=1)
     frozen = ~moved & (motion.particle_type != KINEMATIC)
@@ -265,78 +282,6 @@ def _with_walls(motion: ForeignTrajectory) -> ForeignTrajectory:
 def _chained(first: np.ndarray, rest: Iterator[np.ndarray]) -> Iterator[np.ndarray]:
     yield first
     yield from rest
-
-
-def _check_like(
-    motion: ForeignTrajectory, before: list[MotionSummary], *, frame_dt_needed: bool
-) -> None:
-    """Refuse a trajectory that cannot stand beside the others, before its frames are read."""
-    kind = motion.particle_type
-    if not 1 <= len(kind) <= MOST_PARTICLES:
-        raise DataError(f"{motion.name} has {len(kind)} particles; it needs at least one.")
-    wrong = kind[(kind < 0) | (kind >= PARTICLE_TYPE_COUNT)]
-    if len(wrong):
-        raise DataError(
-            f"{motion.name} has a particle of type {wrong[0]}; types lie between 0 and "
-            f"{PARTICLE_TYPE_COUNT - 1} (GNS convention). Set one type for all with "
-            f"--particle-type."
-        )
-    if not frame_dt_needed:
-        return
-    if motion.frame_dt is None:
-        raise DataError(
-            f"{motion.name} does not say the time between its frames. Give it with --frame-dt "
-            f"SECONDS."
-        )
-    if not 0.0 < motion.frame_dt < np.inf:
-        raise DataError(
-            f"{motion.name} says that its frames are {motion.frame_dt!r} s apart; that must be "
-            f"> 0. Give the right time with --frame-dt SECONDS."
-        )
-    if before and motion.frame_dt != before[0].frame_dt:
-        raise DataError(
-            f"{motion.name} has a frame every {motion.frame_dt:g} s, {before[0].name} every "
-            f"{before[0].frame_dt:g} s; the trajectories of a data set share it. Import them "
-            f"apart, or set it with --frame-dt."
-        )
-
-
-def _checked_frames(
-    motion: ForeignTrajectory, before: list[MotionSummary], *, finite: bool
-) -> Iterator[np.ndarray]:
-    """The frames of a motion, their shapes checked and, if asked, their numbers."""
-    count = len(motion.particle_type)
-    dimension = None if not before else len(before[0].extent)
-    for number, frame in enumerate(motion.frames()):
-        dimension = frame.shape[1] if dimension is None else dimension
-        if dimension not in (2, 3):
-            raise DataError(f"{motion.name} has {dimension} axes; motions have 2 or 3.")
-        if frame.shape != (count, dimension):
-            raise DataError(
-                f"{motion.name} has {frame.shape[0]} particles on {frame.shape[1]} axes at frame "
-                f"{number}, where {count} on {dimension} are needed; particles may neither appear "
-                f"nor vanish, and all trajectories need the same axes. Leave it out."
-            )
-        if motion.bounds is not None and len(motion.bounds) != dimension:
-            raise DataError(
-                f"{motion.name} has {dimension} axes, but bounds for {len(motion.bounds)}. Give "
-                f"--bounds LOW HIGH for each axis."
-            )
-        if finite:
-            _check_finite(frame, number, motion.name)
-        yield frame
-
-
-def _check_finite(frame: np.ndarray, number: int, name: str) -> None:
-    """Refuse numbers that float32 cannot hold."""
-    sound = np.abs(frame) <= np.finfo(np.float32).max
-    if not sound.all():
-        particle = int((~sound.all(axis=1)).argmax())
-        raise DataError(
-            f"{name}: particle {particle} is at {frame[particle].tolist()} at frame {number}, "
-            f"which is no place. Repair it, or leave such trajectories out with "
-            f"--drop-bad-trajectories."
-        )
 
 
 def _walls(motions: list[MotionSummary]) -> tuple[np.ndarray, list[str]]:
