@@ -9,11 +9,19 @@ extension, because some writers choose their format by it.
 import errno
 import json
 import os
+import re
 import shutil
+import socket
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+
+LEFTOVER = re.compile(r"\..+\.(\w+-)?\d+\.tmp(\.\w+)?", re.ASCII)
+"""Names of temporary files; those of earlier versions carry no host."""
+
+HOST_LETTERS = 16
+"""Letters of the host's name in a temporary name; the last ones, in which nodes differ."""
 
 
 @contextmanager
@@ -27,7 +35,7 @@ def replacing(path: Path) -> Iterator[Path]:
         The temporary path to write to. It is removed if the block fails.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}.tmp{path.suffix}")
+    temporary = path.with_name(f".{path.stem}.{_writer()}.tmp{path.suffix}")
     try:
         yield temporary
         _flush(temporary)
@@ -48,8 +56,8 @@ def replacing_folder(folder: Path) -> Iterator[Path]:
         The temporary folder. It is removed if the block fails, and an earlier folder stays.
     """
     folder.parent.mkdir(parents=True, exist_ok=True)
-    temporary = folder.with_name(f".{folder.name}.{os.getpid()}.tmp")
-    earlier = folder.with_name(f".{folder.name}.{os.getpid()}.old")
+    temporary = folder.with_name(f".{folder.name}.{_writer()}.tmp")
+    earlier = folder.with_name(f".{folder.name}.{_writer()}.old")
     shutil.rmtree(temporary, ignore_errors=True)
     temporary.mkdir()
     try:
@@ -99,6 +107,12 @@ def disk_is_full(error: BaseException) -> bool:
     """
     number = error.errno if isinstance(error, OSError) else None
     return number == errno.ENOSPC or os.strerror(errno.ENOSPC) in str(error)
+
+
+def _writer() -> str:
+    """Host and process, as letters and digits around a hyphen."""
+    host = re.sub(r"[^A-Za-z0-9]", "", socket.gethostname().partition(".")[0])
+    return f"{host[-HOST_LETTERS:] or 'host'}-{os.getpid()}"
 
 
 def _flush(path: Path) -> None:

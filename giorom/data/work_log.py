@@ -7,15 +7,11 @@ not be made, and why; it is absent if there are none.
 """
 
 import json
-import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from giorom.data.atomic import write_json
-
-LEFTOVER = re.compile(r"\..+\.\d+\.tmp(\.\w+)?")
-"""Names of the temporary files of ``giorom.data.atomic``."""
+from giorom.data.atomic import LEFTOVER, write_json
 
 
 def append_entry(folder: Path, name: str, entry: Mapping[str, Any]) -> None:
