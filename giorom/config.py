@@ -24,6 +24,9 @@ from giorom.training.loop import TrainingConfig
 
 PRESETS = Path(__file__).parent / "presets"
 
+MOST_BYTES = 1 << 16
+"""Longest YAML file; a preset takes about 2 KB, and checking a record takes long."""
+
 DERIVED = ("dimension", "node_width", "edge_width", "gate_width", "latent_bounds")
 """Fields of ``TimeStepperConfig`` that follow from features and data."""
 
@@ -123,6 +126,11 @@ def load_experiment(name: str, overrides: dict[str, Any] | None = None) -> Exper
         path = Path(name)
     if not path.is_file():
         raise ValueError(f"there is no preset {name!r}. {nearest(name, preset_names())}")
+    if path.stat().st_size > MOST_BYTES:
+        raise ValueError(
+            f"{path} has {path.stat().st_size} bytes, more than the {MOST_BYTES} that an "
+            f"experiment may take. Check that it is the right file."
+        )
     try:
         values = yaml.safe_load(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, yaml.YAMLError, RecursionError) as error:

@@ -451,7 +451,8 @@ def test_unknown_particle_type_is_refused(refuse, run_folder, data_copy):
 
 
 def test_endless_frame_is_refused(capsys, tiny_yaml, out):
-    """Substeps without number are a wrong unit; the scene is counted as failed."""
+    """Substeps without number are a wrong unit; nothing is begun."""
     words = ["simulate", "--config", str(tiny_yaml), "--trajectories", "1", "--out", str(out)]
-    assert main([*words, "--quiet", "--solver.frame_dt", "1e300"]) == 3
+    assert main([*words, "--quiet", "--solver.frame_dt", "1e300"]) == 2
     assert "substeps" in capsys.readouterr().err
+    assert not out.exists()

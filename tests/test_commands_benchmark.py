@@ -70,10 +70,27 @@ def test_blocks_are_timed_after_a_warm_up_and_have_the_frames_they_count(tiny_ca
 
     points = len(draw_scene(tiny_case.scene, seed=0).position)
     monkeypatch.setattr(Run, "frames", counted)
+    monkeypatch.setattr(solver_speed, "FEWEST", points)
     monkeypatch.setattr(solver_speed, "BLOCK_WORK", 2 * points * 40 + 1)
     row = measure_speed(tiny_case, processes=1, repeats=2, seed=0, device="cpu")
     assert asked == [10] * 10
     assert row["points"] == points
+
+
+def test_block_of_a_body_of_few_particles_is_as_long_as_that_of_many(tiny_case, monkeypatch):
+    """One particle would otherwise be moved three million substeps in a block."""
+    asked, frames = [], Run.frames
+
+    def counted(self):
+        for frame in frames(self):
+            asked.append(self.solver.frames)
+            yield frame
+
+    monkeypatch.setattr(Run, "frames", counted)
+    monkeypatch.setattr(solver_speed, "FEWEST", 10**6)
+    monkeypatch.setattr(solver_speed, "BLOCK_WORK", 40 * 10**6)
+    measure_speed(tiny_case, processes=1, repeats=2, seed=0, device="cpu")
+    assert asked == [4] * 4
 
 
 def test_rates_of_processes_side_by_side_are_added(tiny_case, monkeypatch):

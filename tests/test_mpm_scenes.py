@@ -302,6 +302,8 @@ def test_scene_that_reaches_beyond_a_wall_is_refused():
         ({"base_height": math.inf}, "base_height .* must lie between 0 and 1 m, got inf"),
         ({"clamped_fraction": 1.0}, "between 0 and 1"),
         ({"impulses": ["jump"]}, "bend, sway, twist, axial"),
+        ({"placement": [[0.5, math.inf]] * 3}, "placement must be finite with lowest <= highest"),
+        ({"placement": [[0.5, 0.4]] * 3}, "placement must be finite with lowest <= highest"),
         ({"placement": [[0.5, 0.5]]}, "each of the 3 axes"),
         ({"spacing": None}, "exactly one of spacing and points"),
         ({"points": 100}, "exactly one of spacing and points"),

@@ -23,6 +23,9 @@ from giorom.mpm.simulate import Run, chosen_substeps, largest_substep
 BLOCK_WORK = 3_000_000
 """Fewest particle-substeps of a timed block; about a second on one core."""
 
+FEWEST = 1000
+"""Particles below which the grid takes the time, and a block need not be longer."""
+
 SUBSTEPS = 25
 """Substeps of a frame of the standard cases."""
 
@@ -177,7 +180,7 @@ def _time_blocks(
         grid_cells=case.grid_cells, frame_dt=frame_dt, frames=1, substeps=case.substeps
     )
     substeps = chosen_substeps(scene, solver)
-    block = max(1, -(-BLOCK_WORK // (len(scene.position) * substeps)))
+    block = max(1, -(-BLOCK_WORK // (max(len(scene.position), FEWEST) * substeps)))
     run = Run(scene, replace(solver, frames=1 + block * (repeats + 1)), device=device)
     frames = run.frames()
     _exhaust(frames, 1 + block)

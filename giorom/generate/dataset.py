@@ -81,6 +81,7 @@ def generate(
         require_cluster(cluster)
     # The first scene is drawn here: what cannot be drawn, run or stored leaves nothing behind.
     scene = draw_scene(experiment.scene, seed=seed * SCENES_PER_SEED, shape=shape)
+    radius = _default_radius(experiment, scene.position)
     if not finished_parts(folder):
         require_runnable(scene, experiment.solver)
     _require_room(
@@ -101,7 +102,6 @@ def generate(
         seconds, ended = time.perf_counter() - start, len(made.parts) + len(made.failures)
         if cluster is not None and not cluster.wait and ended < trajectories:
             return _sent(len(made.parts), seconds=seconds)
-        radius = _default_radius(experiment, scene.position)
         return _assembled(folder, made, radius=radius, seconds=seconds)
 
 

@@ -13,6 +13,7 @@ Two families:
 The domain is the unit box, axis 1 points up. SI units.
 """
 
+import math
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -237,6 +238,11 @@ class SceneConfig:
             raise ValueError(
                 f"SceneConfig.placement must be one [lowest, highest] for each of the "
                 f"{self.dimension} axes, got {self.placement!r}."
+            )
+        if not all(-math.inf < low <= high < math.inf for low, high in self.placement):
+            raise ValueError(
+                f"SceneConfig.placement must be finite with lowest <= highest on each axis, got "
+                f"{self.placement!r}."
             )
 
     def _check_bodies(self) -> None:

@@ -17,6 +17,10 @@ StateKind = Literal["b", "J"]
 """Strain variable of a law: ``b = F F^T`` of a solid, ``J = det F`` of a fluid."""
 
 
+MOST = 1e20
+"""Largest value of a parameter in SI units; the kernels compute in float32."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Solid(ABC):
     """A law of ``b = F_e F_e^T`` with the elastic moduli that a small strain measures."""
@@ -104,20 +108,20 @@ def isotropic(pressure: Float[Tensor, "*n"], like: Float[Tensor, "*n d d"]) -> T
 
 
 def require_positive(material: Any, name: str, unit: str) -> None:
-    """Reject a value that is not a finite number above zero."""
+    """Reject a value that is no number above zero which the kernels bear."""
     _require(material, name, unit, above=True)
 
 
 def require_not_negative(material: Any, name: str, unit: str) -> None:
-    """Reject a value that is not a finite number of at least zero."""
+    """Reject a value that is no number of at least zero which the kernels bear."""
     _require(material, name, unit, above=False)
 
 
 def _require(material: Any, name: str, unit: str, *, above: bool) -> None:
     value = getattr(material, name)
     good = value > 0.0 if above else value >= 0.0
-    if not (good and math.isfinite(value)):
+    if not (good and value <= MOST):
         raise ValueError(
-            f"{type(material).__name__}.{name} must be {'>' if above else '>='} 0 {unit}, got "
-            f"{value!r}."
+            f"{type(material).__name__}.{name} must be {'>' if above else '>='} 0 {unit} "
+            f"and at most {MOST:g}, got {value!r}."
         )
