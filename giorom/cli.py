@@ -41,6 +41,10 @@ EXTRAS = {
 """Which extra of the package brings a module that is missing."""
 
 
+MOST_LETTERS = 1200
+"""Longest line about a failure; values and names that users give can have any length."""
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Run one command and return its exit code."""
     arguments = sys.argv[1:] if arguments is None else arguments
@@ -116,7 +120,11 @@ def _execute(name: str, arguments: list[str]) -> int:
 
 
 def _refuse(name: str, text: str, code: int) -> int:
-    print(f"giorom {name}: {' '.join(text.split())}", file=sys.stderr)
+    line = " ".join(text.split())
+    line = "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in line)
+    if len(line) > MOST_LETTERS:  # the finding stands at the beginning, the remedy at the end
+        line = f"{line[: MOST_LETTERS * 2 // 3]} ... {line[-MOST_LETTERS // 3 :]}"
+    print(f"giorom {name}: {line}", file=sys.stderr)
     return code
 
 

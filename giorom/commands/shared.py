@@ -20,6 +20,9 @@ MOST_THREADS = 1024
 """Most threads asked of PyTorch; far more than it can start end the process without a word."""
 
 
+MOST_NAME_BYTES = 200
+"""Longest name of an output; the file systems take 255, of which temporary names need some."""
+
 NEGATIVE_NUMBER = re.compile(r"-(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$")
 """What is a value and no option; argparse before Python 3.14 takes ``-1e-3`` for an option."""
 
@@ -147,6 +150,13 @@ def check_output(path: Path, *, folder: bool) -> Path:
     except (OSError, ValueError) as error:
         if not isinstance(error, NotADirectoryError):
             raise ValueError(f"{str(path)[:200]!r} cannot be written ({error}).") from None
+    if path.is_symlink() and not os.path.exists(path):
+        raise ValueError(f"{path} is a link that leads nowhere. Remove it or name another place.")
+    if len(os.fsencode(path.name)) > MOST_NAME_BYTES:
+        raise ValueError(
+            f"the name {path.name[:40]!r} ... has {len(os.fsencode(path.name))} bytes; temporary "
+            f"names need room, so that at most {MOST_NAME_BYTES} are taken. Shorten it."
+        )
     if path.exists() and not (path.is_dir() or path.is_file()):
         raise ValueError(f"{path} is a device or a pipe, which would be replaced. Name a file.")
     if path.exists() and path.is_dir() != folder:

@@ -69,7 +69,7 @@ class Conversion:
                 f"{self.particle_type!r}."
             )
         walls = self.walls()
-        if walls is not None and not (np.diff(walls, axis=1) > 0.0).all():
+        if walls is not None and not (walls[:, 0] < walls[:, 1]).all():
             raise DataError(f"--bounds must be pairs LOW HIGH with LOW < HIGH, got {self.bounds}.")
         self.axis_map()
 

@@ -76,7 +76,7 @@ def checked_frames(
         DataError: Names the frame and what is wrong with it.
     """
     count = len(motion.particle_type)
-    dimension = None if not before else len(before[0].extent)
+    number, dimension = -1, None if not before else len(before[0].extent)
     for number, frame in enumerate(motion.frames()):
         dimension = frame.shape[1] if dimension is None else dimension
         if dimension not in (2, 3):
@@ -95,6 +95,8 @@ def checked_frames(
         if finite:
             _check_finite(frame, number, motion.name)
         yield frame
+    if number < 0:
+        raise DataError(f"{motion.name} has no frame to keep. Lower --skip or leave it out.")
 
 
 def _check_finite(frame: np.ndarray, number: int, name: str) -> None:

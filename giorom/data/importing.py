@@ -240,9 +240,7 @@ def _store(state: _Progressing, motion: ForeignTrajectory, path: Path) -> None:
     """Write one trajectory to its part, measuring it on the way; its walls are set later."""
     gauge = state.measure.begin(motion.name, motion.particle_type, motion.bounds)
     frames = checked_frames(motion, state.measure.motions, finite=True)
-    first = next(frames, None)
-    if first is None:
-        raise DataError(f"{motion.name} has no frame to keep. Lower --skip or leave it out.")
+    first = next(frames)
     with open_trajectory_writer(
         path,
         particle_type=motion.particle_type,
