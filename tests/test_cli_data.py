@@ -104,6 +104,7 @@ def test_the_screen_shows_the_report_and_the_next_commands(source, succeed, tmp_
     for part in ("time between frames", "suggested samples", "suspicious:", "giorom train PRESET"):
         assert part in text
     assert "bounds [m]" in text  # not swallowed as markup
+    assert "PRESET is one of 3 dimensions, such as water3d-small" in text
 
 
 def test_every_option_reaches_the_conversion(source, succeed, tmp_path):

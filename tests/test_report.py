@@ -301,7 +301,9 @@ def test_shuffled_rows_are_recognised_and_fast_motion_is_not():
 def test_what_a_source_says_about_identity_counts():
     motions = three(identity_kept=False)
     only(suspicions(*motions), "a row is not the same particle")
-    assert suspicions(*three(identity_kept=True)) == []
+    sound = report_of(*(foreign(p, identity_kept=True) for p in map_seeds()))
+    assert sound.suspicious == []
+    assert sound.facts["identity"] == "kept, as the source says"
 
 
 def test_neighbours_that_move_alike_are_not_shuffled_however_far():

@@ -72,11 +72,13 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
             read(), arguments.out, options=options, origin=origin, progress=progress
         )
     print_report(arguments, report, title=f"{arguments.source} -> {arguments.out}")
+    dimension = report.facts["dimension"]
     say(
         arguments,
         f"{arguments.out}: look at it with 'giorom inspect {arguments.out}', train with 'giorom "
         f"train PRESET --data {arguments.out} --out RUN --solver.frame_dt "
-        f"{report.facts['frame_dt']!r}'",
+        f"{report.facts['frame_dt']!r}'; PRESET is one of {dimension} dimensions, such as "
+        f"water{dimension}d-small",
     )
     return json_result(report, report_files(arguments.out))
 

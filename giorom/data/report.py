@@ -192,7 +192,7 @@ def _particles(measure: SetMeasure) -> dict[str, Any]:
 
 
 def _identity(measure: SetMeasure) -> str:
-    """Whether a row is the same particle in every frame, as far as the motion tells."""
+    """Whether a row is the same particle in every frame, as far as source and motion tell."""
     motions = measure.motions
     shuffled = sum(m.shuffled is True for m in motions)
     denied = sum(m.identity_kept is False for m in motions)
@@ -201,6 +201,8 @@ def _identity(measure: SetMeasure) -> str:
         return f"lost in {max(shuffled, denied)} of {len(motions)} trajectories"
     if jumps:
         return f"doubtful: {jumps} jumps of single particles"
+    if all(m.identity_kept for m in motions):
+        return "kept, as the source says"
     if all(m.shuffled is None for m in motions):
         return "nothing moves, so the motion does not tell"
     return "kept, by the motion: neighbours move alike"
