@@ -220,6 +220,17 @@ def test_announced_and_delivered_frames_agree(keep):
     assert found.frame_count == len(list(found.frames()))
 
 
+@pytest.mark.parametrize(("said", "replaced"), [(None, 0), (0.005, 0), (1.0 / 60.0, 1)])
+def test_a_given_time_that_contradicts_the_source_is_noted(tmp_path, said, replaced):
+    """One note for all trajectories, with both numbers; none where nothing is contradicted."""
+    source = [foreign(i, frame_dt=said) for i in range(3)]
+    report = load(source, tmp_path / "set", conversion={"frame_dt": 0.005})
+    assert report.facts["frame_dt"] == 0.005
+    note = "--frame-dt 0.005 replaces the 0.0166667 s between frames that the source says."
+    assert report.notes.count(note) == replaced
+    assert sum("replaces" in line for line in report.notes) == replaced
+
+
 def test_unknown_walls_are_put_half_a_spacing_around_the_particles(tmp_path):
     axis = 0.1 * np.arange(5)
     lattice = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)

@@ -153,7 +153,15 @@ def converted(source: ForeignTrajectory, conversion: Conversion) -> ForeignTraje
         frame_count=count,
         frame_dt=None if frame_dt is None else frame_dt * conversion.stride,
         bounds=bounds,
+        notes=(*source.notes, *_replaced_time(source.frame_dt, conversion.frame_dt)),
     )
+
+
+def _replaced_time(said: float | None, given: float | None) -> list[str]:
+    """A note where the time between frames that was given is not the one the source says [s]."""
+    if said is None or given is None or abs(given - said) <= 1e-3 * said:
+        return []
+    return [f"--frame-dt {given:g} replaces the {said:g} s between frames that the source says."]
 
 
 def _frames(source: ForeignTrajectory, conversion: Conversion) -> Iterator[np.ndarray]:
