@@ -143,8 +143,22 @@ def concatenate_edges(edges: list[Edges]) -> Edges:
 
 def component_count(position: Float[Tensor, "q d"], radius: float) -> int:
     """Number of connected components of the radius graph of one scene."""
-    graph = _distance_graph(position.detach().cpu().double().numpy(), radius)
+    # Particles at one place are one component; all pairs of them would fill the memory.
+    places = np.unique(position.detach().cpu().double().numpy(), axis=0)
+    graph = _distance_graph(places, radius)
     return int(connected_components(graph, directed=False)[0])
+
+
+def nearest_distances(points: Float[np.ndarray, "p d"]) -> Float[np.ndarray, " p"]:
+    """Distance of each point to the nearest other one; infinite for a single point [m].
+
+    Points at one place are searched for once: a k-d tree cannot part them, and each would be
+    compared with all others.
+    """
+    places, place, count = np.unique(points, axis=0, return_inverse=True, return_counts=True)
+    distance = cKDTree(places).query(places, k=2)[0][:, 1]
+    place = place.reshape(-1)  # NumPy 2.0 alone gives it a second axis
+    return np.where(count[place] > 1, 0.0, distance[place])
 
 
 def smallest_radius(position: Float[Tensor, "q d"], components: int) -> float:
@@ -170,7 +184,7 @@ def smallest_radius(position: Float[Tensor, "q d"], components: int) -> float:
     needed = len(points) - components
     if needed <= 0:
         return 0.0
-    radius = 2.0 * float(np.median(cKDTree(points).query(points, k=2)[0][:, 1])) or 1e-12
+    radius = 2.0 * float(np.median(nearest_distances(points))) or 1e-12
     while True:
         tree = minimum_spanning_tree(_distance_graph(points, radius))
         if tree.nnz >= needed:
@@ -208,7 +222,7 @@ def choose_radius(
                 "radius."
             )
         points = full.detach().cpu().double().numpy()
-        full_radius = 2.0 * float(np.median(cKDTree(points).query(points, k=2)[0][:, 1]))
+        full_radius = 2.0 * float(np.median(nearest_distances(points)))
     components = component_count(full, full_radius)
     smallest = smallest_radius(sparse, components)
     radius = margin * max(smallest, full_radius)

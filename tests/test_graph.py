@@ -14,6 +14,7 @@ from giorom.graph import (
     choose_radius,
     component_count,
     concatenate_edges,
+    nearest_distances,
     radius_edges,
     smallest_radius,
 )
@@ -217,6 +218,27 @@ def test_coincident_points_are_joined_by_any_radius():
     position[10:, 0] = 2.0
     assert smallest_radius(position, 1) == pytest.approx(2.0, rel=1e-11)
     assert component_count(position, 1.0) == 2
+
+
+def test_a_crowd_at_one_place_costs_no_more_than_its_place():
+    """Listing the pairs of 100,000 coincident particles would take 80 GB."""
+    crowd = torch.zeros(100_000, 3, dtype=torch.float64)
+    apart = 1.0 + torch.arange(3, dtype=torch.float64)[:, None].expand(3, 3)
+    points = torch.cat([crowd, apart])
+    assert component_count(points, 0.5) == 4
+    assert component_count(points, 2.0) == 1
+    distance = nearest_distances(points.numpy())
+    assert (distance[:100_000] == 0.0).all()
+    np.testing.assert_allclose(distance[100_000:], 3.0**0.5)
+
+
+def test_nearest_distances_are_those_of_the_table_of_all_distances():
+    """Random points, a few of them twice; by brute force."""
+    points = np.random.default_rng(0).integers(0, 6, (60, 3)).astype(np.float64)
+    table = np.linalg.norm(points[:, None] - points[None], axis=2)
+    np.fill_diagonal(table, np.inf)
+    np.testing.assert_allclose(nearest_distances(points), table.min(axis=1))
+    assert nearest_distances(points[:1]) == np.inf
 
 
 def test_fewer_than_one_component_is_refused():

@@ -355,6 +355,22 @@ def test_a_particle_pressed_on_a_wall_by_less_than_a_spacing_is_none_outside(bey
     assert any("leave the given bounds" in text for text in found) == named
 
 
+def test_neighbours_are_the_nearest_also_where_particles_coincide():
+    """By brute force; a particle is never its own neighbour."""
+    position = np.random.default_rng(1).integers(0, 5, (80, 2)).astype(np.float64)
+    found = nearest_neighbors(position)
+    table = np.linalg.norm(position[:, None] - position[None], axis=2)
+    np.fill_diagonal(table, np.inf)
+    assert (found.nearest != found.particle).all()
+    np.testing.assert_array_equal(
+        table[found.particle, found.nearest], table.min(axis=1)[found.particle]
+    )
+    assert found.spacing == np.median(table.min(axis=1))
+    crowd = nearest_neighbors(np.zeros((50_000, 3)))
+    assert crowd.spacing == 0.0
+    assert (crowd.nearest != crowd.particle).all()
+
+
 def test_frozen_particles_are_told_from_kinematic_ones():
     """A wall without a type is suspicious, a wall of type 3 is not."""
 

@@ -1,9 +1,6 @@
 """``giorom import``: make a data set of somebody else's particle motions."""
 
 import argparse
-import signal
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -64,10 +61,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
             arguments.source, scale=conversion.scale, axes=conversion.axes
         ),
     )
-    with (
-        _terminated_as_interrupted(),
-        frame_progress(arguments, read, conversion, text="import") as progress,
-    ):
+    with frame_progress(arguments, read, conversion, text="import") as progress:
         report = import_trajectories(
             read(), arguments.out, options=options, origin=origin, progress=progress
         )
@@ -81,17 +75,3 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
         f"water{dimension}d-small",
     )
     return json_result(report, report_files(arguments.out))
-
-
-@contextmanager
-def _terminated_as_interrupted() -> Iterator[None]:
-    """Clean up also when a batch system ends the process with SIGTERM."""
-
-    def stop(number: int, _: Any) -> None:
-        raise KeyboardInterrupt(f"signal {number}")
-
-    earlier = signal.signal(signal.SIGTERM, stop)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, earlier)

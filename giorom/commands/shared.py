@@ -3,7 +3,11 @@
 import argparse
 import os
 import re
+import signal
 import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -73,10 +77,28 @@ def execute(name: str, command: ModuleType, arguments: list[str], *, description
         if parsed.threads > MOST_THREADS:
             raise ValueError(f"--threads must be <= {MOST_THREADS}, got {parsed.threads}.")
         torch.set_num_threads(parsed.threads)
-    result = command.run(parsed)
+    with _terminated_as_interrupted():
+        result = command.run(parsed)
     if parsed.json is not None:
         write_json(parsed.json, result)
     return 0
+
+
+@contextmanager
+def _terminated_as_interrupted() -> Iterator[None]:
+    """Clean up also when a batch system ends the process with SIGTERM."""
+    if threading.current_thread() is not threading.main_thread():
+        yield  # only the main thread hears signals
+        return
+
+    def stop(number: int, _: Any) -> None:
+        raise KeyboardInterrupt(f"signal {number}")
+
+    earlier = signal.signal(signal.SIGTERM, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, earlier)
 
 
 def add_experiment(parser: argparse.ArgumentParser) -> None:
