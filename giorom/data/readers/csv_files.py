@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from giorom.data.readers.cloud import Cloud, check_count, cloud_of, reading, role_of, text_lines
-from giorom.data.readers.frame_files import first_file
+from giorom.data.readers.frame_files import is_first_file
 from giorom.data.readers.sequence import read_sequences
 from giorom.data.readers.source import DataError, ForeignTrajectory, Reader
 
@@ -129,17 +129,13 @@ def _table(lines: Iterator[bytes], columns: list[int], mark: str | None) -> np.n
     return np.concatenate(blocks) if blocks else np.empty((0, len(columns)))
 
 
-def _detect(path: Path) -> bool:
-    """Whether the first table below a path names x and y, or has two or three numbers a row."""
-    try:
-        file = first_file(path, EXTENSIONS)
-        if file is None:
-            return False
-        with file.open("rb") as stream:
-            first = next(line for line in text_lines(stream, path=file) if line.strip())
-            names = _cells(first, _separator(first))
-    except (OSError, DataError, StopIteration):
+def _is_table(file: Path) -> bool:
+    """Whether a table names x and y, or has two or three numbers a row."""
+    with file.open("rb") as stream:
+        first = next((line for line in text_lines(stream, path=file) if line.strip()), None)
+    if first is None:
         return False
+    names = _cells(first, _separator(first))
     axes = {_axis(name) for name in names}
     return {0, 1} <= axes or (len(names) in (2, 3) and all(_is_number(name) for name in names))
 
@@ -152,7 +148,7 @@ def _read(path: Path) -> Iterator[ForeignTrajectory]:
 CSV = Reader(
     name="csv",
     title="CSV tables, one per frame, with columns x, y, z",
-    detect=_detect,
+    detect=lambda path: is_first_file(path, EXTENSIONS, _is_table),
     read=_read,
 )
 """Reader of sequences of tables."""

@@ -15,14 +15,10 @@ from jaxtyping import Float
 
 from giorom.data.metadata import DataError
 
-__all__ = ["ForeignMetadata", "read_foreign_metadata", "split_of"]
+__all__ = ["ForeignMetadata", "read_foreign_metadata"]
 
 MOST_BYTES = 1 << 20
 """Longest metadata file."""
-
-SPLIT_WORDS = {"train": "train", "valid": "valid", "validation": "valid", "val": "valid"}
-SPLIT_WORDS |= {"test": "test"}
-"""Names of files and folders that say what their trajectories are for."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,18 +68,6 @@ def read_foreign_metadata(folder: Path) -> ForeignMetadata:
     return ForeignMetadata(
         frame_dt=_frame_dt(values, path), bounds=bounds, dimension=dimension, notes=tuple(notes)
     )
-
-
-def split_of(path: Path) -> str | None:
-    """What the name of a file says its trajectories are for.
-
-    Args:
-        path: The file; its folder may say it too.
-
-    Returns:
-        ``train``, ``valid``, ``test`` or None.
-    """
-    return SPLIT_WORDS.get(path.stem.lower(), SPLIT_WORDS.get(path.parent.name.lower()))
 
 
 def _read_object(path: Path) -> dict[str, Any]:

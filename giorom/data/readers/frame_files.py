@@ -4,26 +4,18 @@ Files are sorted as people count: frame 2 before frame 10. Nothing is opened her
 """
 
 import re
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from giorom.data.readers.natural_order import natural_key
 from giorom.data.readers.source import DataError
+from giorom.data.readers.split_names import SPLIT_NAMES
 
-__all__ = ["FileSeries", "even_step", "first_file", "natural_key", "series_of"]
-
-SPLIT_FOLDERS = {
-    "train": "train",
-    "training": "train",
-    "valid": "valid",
-    "val": "valid",
-    "validation": "valid",
-    "test": "test",
-}
-"""Folders that say which part of a data set their motions are."""
+__all__ = ["FileSeries", "even_step", "first_file", "is_first_file", "series_of"]
 
 FOLDER_DEPTH = 3
 """Folders of folders that are searched; deeper ones are not."""
@@ -46,19 +38,6 @@ class FileSeries:
     """What is odd about the names."""
 
 
-def natural_key(path: Path) -> tuple[Any, ...]:
-    """Sort key under which the numbers in a name count as numbers.
-
-    Args:
-        path: A file or folder.
-
-    Returns:
-        Its name, cut at its numbers.
-    """
-    parts = re.split(r"(\d+)", path.name)
-    return (*((int(part[:18]), part) if part.isdecimal() else (0, part) for part in parts),)
-
-
 def first_file(path: Path, extensions: Collection[str]) -> Path | None:
     """The file by which a format is told: the path itself or the first fitting one in a folder.
 
@@ -72,6 +51,26 @@ def first_file(path: Path, extensions: Collection[str]) -> Path | None:
     for series in series_of(path, extensions):
         return series.files[0]
     return None
+
+
+def is_first_file(
+    path: Path, extensions: Collection[str], is_format: Callable[[Path], bool]
+) -> bool:
+    """Whether a file, or the first fitting one of a folder, is of a format.
+
+    Args:
+        path: A file or folder.
+        extensions: Endings in lower case, with their dot.
+        is_format: Tells the format from the content; may raise if it cannot be read.
+
+    Returns:
+        Whether it is; never an exception for what a file holds.
+    """
+    try:
+        file = first_file(path, extensions)
+        return file is not None and is_format(file)
+    except (OSError, DataError):
+        return False
 
 
 def series_of(path: Path, extensions: Collection[str]) -> Iterator[FileSeries]:
@@ -116,7 +115,7 @@ def _folder_series(
         return
     for entry in entries:
         if entry.is_dir():
-            part = SPLIT_FOLDERS.get(entry.name.lower(), split)
+            part = SPLIT_NAMES.get(entry.name.lower(), split)
             below = f"{name}/{entry.name}"
             yield from _folder_series(entry, below, extensions, split=part, depth=depth + 1)
 

@@ -16,19 +16,16 @@ from typing import Any
 import numpy as np
 
 from giorom.data.metadata import DataError
-from giorom.data.readers.foreign_metadata import (
-    ForeignMetadata,
-    read_foreign_metadata,
-    split_of,
-)
-from giorom.data.readers.frame_files import natural_key
+from giorom.data.readers.foreign_metadata import ForeignMetadata, read_foreign_metadata
 from giorom.data.readers.lazy_array import LazyArray
+from giorom.data.readers.natural_order import natural_key
 from giorom.data.readers.npy_header import NpyHeader, read_npy_header
 from giorom.data.readers.npy_records import read_records
 from giorom.data.readers.particle_arrays import check_frames, checked_types, types_from
 from giorom.data.readers.pickle_constructors import StoredArray
 from giorom.data.readers.restricted_pickle import load_pickle
 from giorom.data.readers.source import ForeignTrajectory, Reader
+from giorom.data.readers.split_names import split_files, split_of
 from giorom.data.readers.zip_archive import ZipArchive, is_zip
 from giorom.state import WATER
 
@@ -36,8 +33,6 @@ __all__ = ["GNS_NPZ"]
 
 TYPE_NAMES = ("particle_type", "particle_types")
 """Names under which plain arrays of particle types are stored."""
-
-SPLIT_ORDER = ("train", "valid", "test")
 
 
 def read_npz(path: Path) -> Iterator[ForeignTrajectory]:
@@ -52,7 +47,7 @@ def read_npz(path: Path) -> Iterator[ForeignTrajectory]:
     Raises:
         DataError: If a file is damaged, asks for more than arrays, or holds no trajectory.
     """
-    files = _files(path)
+    files = split_files(path, ".npz")
     if not files:
         raise DataError(f"{path} holds no .npz file. Check the path.")
     metadata = read_foreign_metadata(files[0].parent)
@@ -69,7 +64,7 @@ def is_npz(path: Path) -> bool:
     Returns:
         Whether it is.
     """
-    files = _files(path)
+    files = split_files(path, ".npz")
     try:
         if not files or not is_zip(files[0]):
             return False
@@ -77,18 +72,6 @@ def is_npz(path: Path) -> bool:
     except DataError:
         return files[0].suffix == ".npz"
     return bool(names) and all(name.endswith(".npy") for name in names)
-
-
-def _files(path: Path) -> list[Path]:
-    """The files to read, training data first."""
-    if not path.is_dir():
-        return [path]
-    try:
-        found = sorted(file for file in path.glob("*.npz") if file.is_file())
-    except OSError:
-        return []
-    order = {name: place for place, name in enumerate(SPLIT_ORDER)}
-    return sorted(found, key=lambda file: order.get(split_of(file) or "", len(order)))
 
 
 def _read_file(path: Path, metadata: ForeignMetadata) -> Iterator[ForeignTrajectory]:

@@ -22,13 +22,10 @@ from jaxtyping import Float
 from giorom.data.metadata import DataError
 from giorom.data.readers.byte_source import ByteSource, Cursor, FileSource
 from giorom.data.readers.crc32c import crc32c, masked
-from giorom.data.readers.foreign_metadata import (
-    ForeignMetadata,
-    read_foreign_metadata,
-    split_of,
-)
+from giorom.data.readers.foreign_metadata import ForeignMetadata, read_foreign_metadata
 from giorom.data.readers.particle_arrays import MOST_FRAMES, check_frames, checked_types
 from giorom.data.readers.source import MOST_PARTICLES, ForeignTrajectory, Reader
+from giorom.data.readers.split_names import split_files, split_of
 
 __all__ = ["GNS_TFRECORD"]
 
@@ -37,8 +34,6 @@ STEP_BYTES = 1 << 20
 
 MOST_FIELDS = 1_000_000
 """Most entries of a message apart from frames."""
-
-SPLIT_ORDER = ("train", "valid", "test")
 
 
 @dataclass(slots=True)
@@ -66,7 +61,7 @@ def read_tfrecord(path: Path) -> Iterator[ForeignTrajectory]:
     Raises:
         DataError: If a record is cut off, fails its check sum or is no trajectory.
     """
-    files = _files(path)
+    files = split_files(path, ".tfrecord")
     if not files:
         raise DataError(f"{path} holds no .tfrecord file. Check the path.")
     metadata = read_foreign_metadata(files[0].parent)
@@ -85,23 +80,11 @@ def is_tfrecord(path: Path) -> bool:
     Returns:
         Whether it does.
     """
-    files = _files(path)
+    files = split_files(path, ".tfrecord")
     try:
         return bool(files) and _record_length(FileSource(files[0]), 0) > 0
     except DataError:
         return files[0].suffix == ".tfrecord"
-
-
-def _files(path: Path) -> list[Path]:
-    """The files to read, training data first."""
-    if not path.is_dir():
-        return [path]
-    try:
-        found = sorted(file for file in path.glob("*.tfrecord") if file.is_file())
-    except OSError:
-        return []
-    order = {name: place for place, name in enumerate(SPLIT_ORDER)}
-    return sorted(found, key=lambda file: order.get(split_of(file) or "", len(order)))
 
 
 def _read_file(path: Path, metadata: ForeignMetadata) -> Iterator[ForeignTrajectory]:

@@ -24,15 +24,11 @@ import numpy as np
 from jaxtyping import Float
 
 from giorom.data.metadata import DataError
-from giorom.data.readers.foreign_metadata import (
-    ForeignMetadata,
-    read_foreign_metadata,
-    split_of,
-)
-from giorom.data.readers.frame_files import natural_key
+from giorom.data.readers.foreign_metadata import ForeignMetadata, read_foreign_metadata
 from giorom.data.readers.hdf5_guard import guarded_file, member, numbers_of, rows_of
 from giorom.data.readers.particle_arrays import check_frames, checked_types
 from giorom.data.readers.source import ForeignTrajectory, Reader
+from giorom.data.readers.split_names import split_files, split_of
 from giorom.state import KINEMATIC, RIGID, WATER
 
 __all__ = ["LAGRANGEBENCH"]
@@ -43,8 +39,6 @@ BLOCK_BYTES = 32 << 20
 WALLS = (1, 2)
 TRANSLATION = {0: WATER, 1: KINEMATIC, 2: KINEMATIC, 3: RIGID}
 """LagrangeBench's particle types in GNS's numbering."""
-
-SPLIT_ORDER = ("train", "valid", "test")
 
 HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
 
@@ -61,7 +55,7 @@ def read_lagrangebench(path: Path) -> Iterator[ForeignTrajectory]:
     Raises:
         DataError: If a file is damaged or has another layout.
     """
-    files = _files(path)
+    files = split_files(path, ".h5", in_folders=True)
     if not files:
         raise DataError(f"{path} holds no .h5 file. Check the path.")
     metadata = read_foreign_metadata(path if path.is_dir() else path.parent)
@@ -81,7 +75,7 @@ def is_lagrangebench(path: Path) -> bool:
         Whether it has.
     """
     try:
-        files = _files(path)
+        files = split_files(path, ".h5", in_folders=True)
         if not files or not files[0].is_file():
             return False
         with files[0].open("rb") as file:
@@ -95,16 +89,6 @@ def is_lagrangebench(path: Path) -> bool:
         return files[0].suffix == ".h5"
     except OSError:
         return False
-
-
-def _files(path: Path) -> list[Path]:
-    """The files to read, training data first; NeuralMPM keeps them in a folder per split."""
-    if not path.is_dir():
-        return [path]
-    folders = [path, *(path / name for name in SPLIT_ORDER)]
-    found = [file for folder in folders for file in folder.glob("*.h5") if file.is_file()]
-    order = {name: place for place, name in enumerate(SPLIT_ORDER)}
-    return sorted(found, key=lambda file: (order.get(split_of(file) or "", 9), natural_key(file)))
 
 
 def _read_file(path: Path, metadata: ForeignMetadata) -> Iterator[ForeignTrajectory]:

@@ -12,7 +12,7 @@ import numpy as np
 
 from giorom.data.readers.byte_source import FileSource
 from giorom.data.readers.cloud import Cloud, check_count, cloud_of, reading
-from giorom.data.readers.frame_files import first_file, series_of
+from giorom.data.readers.frame_files import is_first_file, series_of
 from giorom.data.readers.lazy_array import LazyArray
 from giorom.data.readers.npy_header import read_npy_header
 from giorom.data.readers.sequence import FLAT_NOTE, in_plane, is_flat, sequence_trajectory
@@ -76,13 +76,9 @@ def _frames(array: LazyArray, path: Path, *, flat: bool) -> Iterator[np.ndarray]
         yield in_plane(position, name=f"{path}[{index}]") if flat else position
 
 
-def _detect(path: Path) -> bool:
-    """Whether the first array below a path has the shape of positions."""
-    try:
-        file = first_file(path, EXTENSIONS)
-        return file is not None and bool(_array(file).shape)
-    except (OSError, DataError):
-        return False
+def _has_axes(file: Path) -> bool:
+    """Whether an array has the shape of positions."""
+    return bool(_array(file).shape)
 
 
 def _read(path: Path) -> Iterator[ForeignTrajectory]:
@@ -101,7 +97,7 @@ def _read(path: Path) -> Iterator[ForeignTrajectory]:
 NPY = Reader(
     name="npy",
     title="NumPy arrays (frames, particles, axes), or one per frame",
-    detect=_detect,
+    detect=lambda path: is_first_file(path, EXTENSIONS, _has_axes),
     read=_read,
 )
 """Reader of NumPy's arrays."""

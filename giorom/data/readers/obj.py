@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from giorom.data.readers.cloud import Cloud, check_count, cloud_of, reading, text_lines
-from giorom.data.readers.frame_files import first_file
+from giorom.data.readers.frame_files import is_first_file
 from giorom.data.readers.sequence import read_sequences
 from giorom.data.readers.source import DataError, ForeignTrajectory, Reader
 
@@ -79,16 +79,10 @@ def _parse(stream: Any, path: Path) -> tuple[list[np.ndarray], int, str | None]:
     return blocks, faces, digest.hexdigest() if faces else None
 
 
-def _detect(path: Path) -> bool:
-    """Whether a file, or the first OBJ file of a folder, is text with a vertex near its start."""
-    try:
-        file = first_file(path, EXTENSIONS)
-        if file is None:
-            return False
-        with file.open("rb") as stream:
-            start = stream.read(START_BYTES)
-    except (OSError, DataError):
-        return False
+def _is_obj(file: Path) -> bool:
+    """Whether a file is text with a vertex near its start."""
+    with file.open("rb") as stream:
+        start = stream.read(START_BYTES)
     return b"\0" not in start and any(line.split()[:1] == [b"v"] for line in start.splitlines())
 
 
@@ -100,7 +94,7 @@ def _read(path: Path) -> Iterator[ForeignTrajectory]:
 OBJ = Reader(
     name="obj",
     title="OBJ meshes, one per frame; the vertices are the particles",
-    detect=_detect,
+    detect=lambda path: is_first_file(path, EXTENSIONS, _is_obj),
     read=_read,
 )
 """Reader of sequences of OBJ meshes."""

@@ -25,7 +25,7 @@ from giorom.data.readers.cloud import (
     role_of,
     text_lines,
 )
-from giorom.data.readers.frame_files import first_file
+from giorom.data.readers.frame_files import is_first_file
 from giorom.data.readers.sequence import read_sequences
 from giorom.data.readers.source import DataError, ForeignTrajectory, Reader
 
@@ -283,16 +283,10 @@ def _skip(stream: Any, element: Element, header: Header, *, path: Path, size: in
             stream.seek(step, 1)
 
 
-def _detect(path: Path) -> bool:
-    """Whether a file, or the first PLY file of a folder, begins like one."""
-    try:
-        file = first_file(path, EXTENSIONS)
-        if file is None:
-            return False
-        with file.open("rb") as stream:
-            return re.match(rb"ply[ \t]*\r?\n", stream.read(16)) is not None
-    except (OSError, DataError):
-        return False
+def _is_ply(file: Path) -> bool:
+    """Whether a file begins like one of this format."""
+    with file.open("rb") as stream:
+        return re.match(rb"ply[ \t]*\r?\n", stream.read(16)) is not None
 
 
 def _read(path: Path) -> Iterator[ForeignTrajectory]:
@@ -303,7 +297,7 @@ def _read(path: Path) -> Iterator[ForeignTrajectory]:
 PLY = Reader(
     name="ply",
     title="PLY files, one per frame",
-    detect=_detect,
+    detect=lambda path: is_first_file(path, EXTENSIONS, _is_ply),
     read=_read,
 )
 """Reader of folders of PLY files."""
