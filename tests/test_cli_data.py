@@ -258,6 +258,15 @@ def test_a_truncated_data_set_is_refused(data_folder, refuse, tmp_path):
     assert not (tmp_path / "set").exists()
 
 
+@pytest.fixture
+def heard_keyboard():
+    """Ctrl-C is heard: a shell starts background jobs with it ignored, and Python keeps that."""
+    keyboard = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, keyboard)
+
+
+@pytest.mark.usefixtures("heard_keyboard")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_import_leaves_with_130_and_says_that_nothing_is_left(
     number, data_folder, tmp_path, capsys, monkeypatch
