@@ -149,16 +149,40 @@ def component_count(position: Float[Tensor, "q d"], radius: float) -> int:
     return int(connected_components(graph, directed=False)[0])
 
 
-def nearest_distances(points: Float[np.ndarray, "p d"]) -> Float[np.ndarray, " p"]:
-    """Distance of each point to the nearest other one; infinite for a single point [m].
+def nearest_points(
+    points: Float[np.ndarray, "p d"],
+    chosen: Int[np.ndarray, " k"],
+) -> tuple[Float[np.ndarray, " k"], Int[np.ndarray, " k"]]:
+    """The nearest other point of some points.
 
     Points at one place are searched for once: a k-d tree cannot part them, and each would be
     compared with all others.
+
+    Args:
+        points: All positions of one scene [m].
+        chosen: Rows of those that are asked about.
+
+    Returns:
+        Distance [m], infinite for a point that is alone, and row of the nearest other point.
     """
-    places, place, count = np.unique(points, axis=0, return_inverse=True, return_counts=True)
-    distance = cKDTree(places).query(places, k=2)[0][:, 1]
+    places, first, place, count = np.unique(
+        points, axis=0, return_index=True, return_inverse=True, return_counts=True
+    )
     place = place.reshape(-1)  # NumPy 2.0 alone gives it a second axis
-    return np.where(count[place] > 1, 0.0, distance[place])
+    last = np.zeros(len(places), np.int64)
+    last[place] = np.arange(len(points))
+    here = place[chosen]
+    twin = np.where(first[here] == chosen, last[here], first[here])
+    distance, found = cKDTree(places).query(points[chosen], k=2)
+    other = np.where(found[:, 0] == here, found[:, 1], found[:, 0])
+    neighbor = first[np.minimum(other, len(places) - 1)]
+    alone = count[here] == 1
+    return np.where(alone, distance[:, 1], 0.0), np.where(alone, neighbor, twin)
+
+
+def nearest_distances(points: Float[np.ndarray, "p d"]) -> Float[np.ndarray, " p"]:
+    """Distance of each point to the nearest other one; infinite for a single point [m]."""
+    return nearest_points(points, np.arange(len(points)))[0]
 
 
 def smallest_radius(position: Float[Tensor, "q d"], components: int) -> float:

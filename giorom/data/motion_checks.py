@@ -9,7 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.spatial import cKDTree
+
+from giorom.graph import nearest_points
 
 MOST_POINTS = 200_000
 """Points a search for neighbours takes in; of more, the ones around the middle."""
@@ -77,32 +78,10 @@ def nearest_neighbors(position: Float[np.ndarray, "p d"]) -> Neighbors | None:
     if len(rows) < 2:
         return None
     drawn = np.arange(0, len(rows), max(1, len(rows) // MOST_DRAWN))
-    distance, nearest = _nearest(position[rows], drawn)
+    distance, nearest = nearest_points(position[rows], drawn)
     return Neighbors(
         particle=rows[drawn], nearest=rows[nearest], spacing=float(np.median(distance))
     )
-
-
-def _nearest(
-    points: Float[np.ndarray, "n d"], drawn: Int[np.ndarray, " k"]
-) -> tuple[Float[np.ndarray, " k"], Int[np.ndarray, " k"]]:
-    """Distance of some points to the nearest other one, and its row.
-
-    Points at one place are searched for once: a k-d tree cannot part them, and each would be
-    compared with all others.
-    """
-    places, first, place, count = np.unique(
-        points, axis=0, return_index=True, return_inverse=True, return_counts=True
-    )
-    place = place.reshape(-1)  # NumPy 2.0 alone gives it a second axis
-    last = np.zeros(len(places), np.int64)
-    last[place] = np.arange(len(points))
-    twin = np.where(first[place] == np.arange(len(points)), last[place], first[place])
-    distance, found = cKDTree(places).query(points[drawn], k=2)
-    alone = count[place[drawn]] == 1
-    other = np.where(found[:, 0] == place[drawn], found[:, 1], found[:, 0])
-    neighbor = first[np.minimum(other, len(places) - 1)]
-    return np.where(alone, distance[:, 1], 0.0), np.where(alone, neighbor, twin[drawn])
 
 
 def rows_are_shuffled(step: Float[np.ndarray, "p d"], neighbors: Neighbors) -> bool | None:
