@@ -1,6 +1,7 @@
 """One tiny data set and one tiny trained run, made once and shared by all tests."""
 
 import copy
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ import pytest
 import torch
 import yaml
 
+from giorom.cli import main
 from giorom.config import Experiment, load_experiment
 from giorom.experiment import train
 from giorom.generate import generate
@@ -157,3 +159,32 @@ def run_folder(
 def simulator(run_folder: Path) -> Simulator:
     """The tiny trained simulator."""
     return Simulator.from_pretrained(run_folder)
+
+
+@pytest.fixture
+def succeed(tmp_path, capsys):
+    """Run a command that must succeed and return its JSON result."""
+
+    def call(*words):
+        file = tmp_path / "result.json"
+        assert main([*map(str, words), "--json", str(file), "--quiet"]) == 0
+        output = capsys.readouterr()
+        assert output.out == output.err == ""
+        return json.loads(file.read_text())
+
+    return call
+
+
+@pytest.fixture
+def refuse(capsys):
+    """Run a command that must refuse its input with one line, and return the line."""
+
+    def call(*words, code=2):
+        assert main([*map(str, words), "--quiet"]) == code
+        output = capsys.readouterr()
+        assert output.out == ""
+        assert output.err.startswith(f"giorom {words[0]}: ")
+        assert output.err.count("\n") == 1
+        return output.err
+
+    return call

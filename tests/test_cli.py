@@ -29,35 +29,6 @@ SCORES = TRIVIAL | {
 
 
 @pytest.fixture
-def succeed(tmp_path, capsys):
-    """Run a command that must succeed and return its JSON result."""
-
-    def call(*words):
-        file = tmp_path / "result.json"
-        assert main([*map(str, words), "--json", str(file), "--quiet"]) == 0
-        output = capsys.readouterr()
-        assert output.out == output.err == ""
-        return json.loads(file.read_text())
-
-    return call
-
-
-@pytest.fixture
-def refuse(capsys):
-    """Run a command that must refuse its input with one line, and return the line."""
-
-    def call(*words):
-        assert main([*map(str, words), "--quiet"]) == 2
-        output = capsys.readouterr()
-        assert output.out == ""
-        assert output.err.startswith(f"giorom {words[0]}: ")
-        assert output.err.count("\n") == 1
-        return output.err
-
-    return call
-
-
-@pytest.fixture
 def data_copy(data_folder, tmp_path):
     """A copy of the data set, free to be damaged."""
     ignored = shutil.ignore_patterns("parts")

@@ -56,21 +56,6 @@ def succeed(tmp_path, capsys):
     return call
 
 
-@pytest.fixture
-def refuse(capsys):
-    """Run a command that must refuse its input with one line, and return the line."""
-
-    def call(*words):
-        assert main([*map(str, words), "--quiet"]) == 2
-        output = capsys.readouterr()
-        assert output.out == ""
-        assert output.err.startswith(f"giorom {words[0]}: ")
-        assert output.err.count("\n") == 1
-        return output.err
-
-    return call
-
-
 @pytest.fixture(scope="session")
 def source(data_folder, tmp_path_factory):
     """The tiny data set as somebody else's: LagrangeBench's layout, without our marks."""

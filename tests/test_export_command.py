@@ -26,35 +26,6 @@ h5py = pytest.importorskip("h5py")
 
 
 @pytest.fixture
-def succeed(tmp_path, capsys):
-    """Run a command that must succeed and return its JSON result."""
-
-    def call(*words):
-        file = tmp_path / "result.json"
-        assert main([*map(str, words), "--json", str(file), "--quiet"]) == 0
-        output = capsys.readouterr()
-        assert output.out == output.err == ""
-        return json.loads(file.read_text())
-
-    return call
-
-
-@pytest.fixture
-def refuse(capsys):
-    """Run a command that must refuse its input with one line, and return the line."""
-
-    def call(*words, code=2):
-        assert main([*map(str, words), "--quiet"]) == code
-        output = capsys.readouterr()
-        assert output.out == ""
-        assert output.err.startswith(f"giorom {words[0]}: ")
-        assert output.err.count("\n") == 1
-        return output.err
-
-    return call
-
-
-@pytest.fixture
 def out(tmp_path):
     """A folder that must not appear when the input is refused."""
     return tmp_path / "out"
