@@ -20,7 +20,7 @@ from giorom.records import check_keys, nearest, one_line, parse_record
 from giorom.sampling import SamplingConfig
 from giorom.time_stepper import TimeStepperConfig
 from giorom.training.field_loop import FieldTrainingConfig
-from giorom.training.loop import TrainingConfig
+from giorom.training.training_config import TrainingConfig
 
 PRESETS = Path(__file__).parent / "presets"
 

@@ -15,7 +15,7 @@ from giorom.config import Experiment, load_experiment
 from giorom.experiment import train
 from giorom.generate import generate
 from giorom.simulator import Simulator
-from giorom.training.loop import Budget
+from giorom.training.training_config import Budget
 
 TINY: dict[str, Any] = {
     "system": "tiny",

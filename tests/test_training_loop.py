@@ -10,7 +10,7 @@ from safetensors.torch import load_file
 
 from giorom.training import loop
 from giorom.training.checkpoint import CheckpointError
-from giorom.training.loop import Budget, TrainingConfig, learning_rate
+from giorom.training.training_config import Budget, TrainingConfig, learning_rate
 
 
 def stop_at(step):

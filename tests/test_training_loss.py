@@ -11,7 +11,7 @@ from giorom.features import FeatureConfig, Features
 from giorom.normalization import Normalization
 from giorom.pipeline import Dynamics, connect_within
 from giorom.state import KINEMATIC, SparseState
-from giorom.training.loss import unrolled_loss, weak_loss
+from giorom.training.loss import unrolled_loss
 from giorom.training.noise import add_random_walk
 
 FRAME_DT, RADIUS, BETA = 0.02, 0.6, 1e3
@@ -156,46 +156,3 @@ def test_gradients_are_finite_and_flow_through_every_frame():
     std = torch.tensor(SCALES.acceleration_std, dtype=torch.float64)
     expected = -GRAVITY * (1.0 / std.square() + BETA * FRAME_DT**4)
     torch.testing.assert_close(value.grad, expected, rtol=1e-4, atol=1e-8)
-
-
-def weak_loss_of(model: Dynamics, batch: WindowBatch, *, stride: int, weight: float) -> float:
-    connect = connect_within(RADIUS, configuration="current")
-    return float(weak_loss(model, batch, connect=connect, stride=stride, weight=weight))
-
-
-def test_the_schemes_own_acceleration_has_no_weak_loss():
-    """The hat sum over second differences telescopes to x_(n+m) - 2 x_n + x_(n-m)."""
-
-    def spring(features: Features) -> Tensor:
-        return -40.0 * (features.position - 0.5)
-
-    positions = list(random_positions(2))
-    while len(positions) < 3 + 8:
-        force = -40.0 * (positions[-1] - 0.5)
-        positions.append(2.0 * positions[-1] - positions[-2] + FRAME_DT**2 * force)
-    batch = window(torch.stack(positions), history=3)
-    # Squares of float32 rounding, 6e-8 relative, times the weight.
-    assert weak_loss_of(dynamics(spring), batch, stride=1, weight=10.0) < 1e-9
-
-
-@pytest.mark.parametrize("stride", [1, 2, 4])
-def test_a_constant_error_counts_once_at_single_frames_and_once_in_the_mean(stride):
-    """The hat has unit area at every stride, so a constant error d costs (1 + w) d^2."""
-    error = torch.tensor([0.3, -0.2], dtype=torch.float64)
-    model = dynamics(lambda features: (GRAVITY + error).expand_as(features.position))
-    batch = window(free_fall(3 + 8), history=3)
-    std = torch.tensor(SCALES.acceleration_std, dtype=torch.float64)
-    expected = 11.0 * float((error / std).square().mean())
-    assert weak_loss_of(model, batch, stride=stride, weight=10.0) == pytest.approx(
-        expected, rel=1e-4
-    )
-
-
-def test_an_error_that_alternates_is_invisible_to_the_mean():
-    """Errors of opposite sign at successive evaluations cancel under the hat, as fast modes do."""
-    batch = window(free_fall(3 + 8), history=3)
-    signs = torch.tensor([1.0, -1.0, 1.0, -1.0, 1.0, -1.0, 1.0]).repeat_interleave(6)[:, None]
-    model = dynamics(lambda features: GRAVITY + 0.5 * signs.double().expand(-1, 2))
-    std = torch.tensor(SCALES.acceleration_std, dtype=torch.float64)
-    single = float((0.5 / std).square().mean())
-    assert weak_loss_of(model, batch, stride=1, weight=1e3) == pytest.approx(single, rel=1e-4)

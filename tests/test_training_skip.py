@@ -10,8 +10,8 @@ from giorom.pipeline import Dynamics
 from giorom.sampling import SamplingConfig
 from giorom.state import Trajectory
 from giorom.time_stepper import TimeStepper, TimeStepperConfig
-from giorom.training.loop import TrainingConfig
 from giorom.training.skip import fit_skip
+from giorom.training.training_config import TrainingConfig
 
 
 def test_the_linear_part_finds_a_spring():

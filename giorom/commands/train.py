@@ -12,7 +12,7 @@ from giorom.commands.shared import (
     say,
 )
 from giorom.experiment import train
-from giorom.training.loop import Budget
+from giorom.training.training_config import Budget
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

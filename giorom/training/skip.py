@@ -18,8 +18,8 @@ from giorom.features import compute_features
 from giorom.graph import Edges
 from giorom.integrate import finite_differences
 from giorom.pipeline import Dynamics
-from giorom.training.loop import TrainingConfig
 from giorom.training.noise import add_random_walk
+from giorom.training.training_config import TrainingConfig
 
 LINEAR_BATCHES = 64
 """Batches the linear map is fitted to."""

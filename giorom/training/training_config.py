@@ -1,0 +1,148 @@
+"""What a training of the time-stepper may use: its values, its budget, its learning rate."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainingConfig:
+    """How the time-stepper is trained."""
+
+    batch_size: int = 4
+    """Windows per optimiser step."""
+
+    optimizer: Literal["adamax", "adamw"] = "adamax"
+    """Optimiser (Adamax in the paper)."""
+
+    learning_rate: float = 1e-4
+    """Learning rate at the start."""
+
+    final_learning_rate: float = 1e-6
+    """Learning rate that the decay approaches."""
+
+    decades: float = 2.0
+    """Powers of ten by which the learning rate above the final one decays over the budget; the
+    paper's 5e6 steps make one."""
+
+    warmup: int = 100
+    """Steps over which the learning rate rises from zero."""
+
+    weight_decay: float = 1e-6
+    """Weight decay."""
+
+    gradient_clip: float = 1.0
+    """Largest norm of the gradient."""
+
+    noise_std: float = 0.0
+    """Spread of the training noise on the newest velocity, as displacement per frame [m]."""
+
+    position_weight: float = 1e5
+    """Weight beta of the position error in equation 10 [1/m^2]."""
+
+    unroll: list[list[float]] | None = None
+    """Stages [share of the budget at which it begins, frames per window]; null: one frame (the
+    paper)."""
+
+    gate_steps: int = 4000
+    """Steps that fit the gate of a gated skip before the whole network is trained."""
+
+    subsets: int = 8
+    """Different samples of each trajectory."""
+
+    turn: bool = False
+    """Turn and mirror scenes at random; sound where the side walls are out of reach."""
+
+    straight_past: bool = False
+    """Let windows begin at the first frame, their past extrapolated straight; a model that is
+    started from a shape and a velocity has to know such beginnings."""
+
+    isotropic: bool = False
+    """One velocity and one acceleration scale for all axes, no offset."""
+
+    average_decay: float = 0.998
+    """Decay of the running average of the weights that is validated and kept."""
+
+    precision: Literal["auto", "float32", "bfloat16"] = "float32"
+    """Precision of the matrix products; ``auto`` takes bfloat16 where the machine computes it."""
+
+    validations: int = 12
+    """Validation rollouts over the budget, evenly spaced."""
+
+    validation_frames: int = 100
+    """Frames of a validation rollout, as far as the trajectories reach."""
+
+    validation_trajectories: int = 8
+    """Held-out trajectories rolled out, at most."""
+
+    def __post_init__(self) -> None:
+        """Reject values no training can use."""
+        positive = "batch_size learning_rate decades gradient_clip subsets validations".split()
+        natural = "final_learning_rate warmup weight_decay noise_std position_weight".split()
+        for name in [*positive, "validation_frames", "validation_trajectories"]:
+            if not getattr(self, name) > 0:
+                raise ValueError(f"TrainingConfig.{name} must be > 0, got {getattr(self, name)!r}.")
+        for name in natural:
+            if not getattr(self, name) >= 0:
+                raise ValueError(
+                    f"TrainingConfig.{name} must be >= 0, got {getattr(self, name)!r}."
+                )
+        if not 0.0 <= self.average_decay < 1.0:
+            raise ValueError(
+                f"TrainingConfig.average_decay must lie in [0, 1), got {self.average_decay!r}."
+            )
+        for stage in self.unroll or []:
+            if len(stage) != 2 or not 0.0 <= stage[0] < 1.0 or not stage[1] >= 1:
+                raise ValueError(
+                    f"TrainingConfig.unroll must be pairs [share in [0, 1), frames >= 1], got "
+                    f"{stage!r}."
+                )
+
+    def unrolled_frames(self, progress: float) -> int:
+        """Frames per window after the share ``progress`` of the budget."""
+        begun = [frames for share, frames in self.unroll or [] if share <= progress]
+        return int(begun[-1]) if begun else 1
+
+    @property
+    def longest_unroll(self) -> int:
+        """Frames after the current one that a window must hold."""
+        return max([1, *(int(frames) for _, frames in self.unroll or [])])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Budget:
+    """When to stop: after some steps or some minutes, whichever comes first."""
+
+    steps: int | None = None
+    """Optimiser steps."""
+
+    minutes: float | None = None
+    """Minutes, those before an interruption included."""
+
+    def __post_init__(self) -> None:
+        """Reject an endless training."""
+        if self.steps is None and self.minutes is None:
+            raise ValueError("give a budget: --max-steps, --max-minutes, or both.")
+        for name in ("steps", "minutes"):
+            value = getattr(self, name)
+            if value is not None and not value > 0:
+                raise ValueError(f"the budget of {name} must be > 0, got {value!r}.")
+
+    def progress(self, step: int, seconds: float) -> float:
+        """Share of the budget that is used, 1 at the end."""
+        shares = [0.0]
+        if self.steps is not None:
+            shares.append(step / self.steps)
+        if self.minutes is not None:
+            shares.append(seconds / (60.0 * self.minutes))
+        return min(1.0, max(shares))
+
+
+def learning_rate(config: TrainingConfig, *, step: int, progress: float) -> float:
+    """The GNS rule with a horizon that fits the budget.
+
+    Source:
+        arXiv:2002.09405: lr = lr_end + (lr_start - lr_end) 0.1^(t / 5e6).
+    """
+    span = config.learning_rate - config.final_learning_rate
+    rate = config.final_learning_rate + span * 0.1 ** (config.decades * progress)
+    return rate * min(1.0, (step + 1) / max(1, config.warmup))
