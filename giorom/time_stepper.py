@@ -40,7 +40,9 @@ class TimeStepper(nn.Module):
         self.node_in = MLP(
             [config.embedding + config.node_width, *hidden], layer_norm=True, **options
         )
-        self.edge_in = MLP([config.edge_width, *hidden], layer_norm=True, **options)
+        self.edge_in = None
+        if config.layers_before + config.layers_after > 0:
+            self.edge_in = MLP([config.edge_width, *hidden], layer_norm=True, **options)
         self.before, self.after = (
             nn.ModuleList(
                 MessagePassing(config.hidden, depth=config.mlp_depth, node_skip=config.node_skip)
@@ -76,17 +78,23 @@ class TimeStepper(nn.Module):
         )
         embedded = self.type_embedding(features.particle_type)
         node = self.node_in(torch.cat([embedded, features.node], dim=-1))
-        edge = self.edge_in(features.edge)
+        edge = features.edge if self.edge_in is None else self.edge_in(features.edge)
         for layer in self.before:
             node, edge = layer(node, edge, neighborhood)
         if self.latent is not None:
-            node = node + self.latent(node, features)
+            node = self._through_grid(node, features)
         for layer in self.after:
             node, edge = layer(node, edge, neighborhood)
         acceleration = self.node_out(node)
         if self.input_skip is None:
             return acceleration
         return acceleration.to(features.node.dtype) + self.input_skip(features.node)
+
+    def _through_grid(self, node: Tensor, features: Features) -> Tensor:
+        """Node features after the latent grid."""
+        sent = node if self.config.gno_input == "features" else self.node_out(node)
+        received = self.latent(sent, features)
+        return node + received if self.config.latent_skip else received
 
     def coverage(self, features: Features) -> Float[Tensor, ""]:
         """Share of the particles the latent grid reaches; one without a grid.
@@ -99,4 +107,4 @@ class TimeStepper(nn.Module):
         """
         if self.latent is None:
             return torch.ones((), device=features.position.device)
-        return self.latent.grid.coverage(features.position)
+        return self.latent.coverage(features.position)

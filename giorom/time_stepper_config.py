@@ -46,14 +46,29 @@ class TimeStepperConfig:
     latent: bool = True
     """Use the latent grid; without it the network is message passing alone."""
 
+    processor: Literal["transformer", "fourier", "fourier_plane", "none"] = "transformer"
+    """What works on the grid: the operator transformer (NOT), a Fourier operator (FNO) in as many
+    dimensions as the body or, for 3-D bodies, on a plane they are mapped to (the paper's first
+    version), or a linear map of each node alone."""
+
+    latent_skip: bool = True
+    """Add what the grid says to the node features (official 3-D code), or let it replace them
+    (official 2-D code and first version)."""
+
+    gno_input: Literal["features", "acceleration"] = "features"
+    """What goes to the grid: the node features, or accelerations decoded from them (official 2-D
+    code and first version)."""
+
     latent_bounds: list[list[float]] = field(default_factory=list)
-    """First and last grid node on each axis [m]; should contain every particle."""
+    """First and last grid node on each axis [m]; should contain every particle. A plane of nodes
+    lies on [-1, 1]; what is mapped to it are places in units of these bounds."""
 
     latent_side: int = 16
     """Grid nodes along each axis."""
 
     latent_radius: float | None = None
-    """Reach of a grid node [m]; None means 1.5 times half the diagonal of a cell."""
+    """Reach of a grid node [m], on a plane in units of its own; None means 1.5 times half the
+    diagonal of a cell."""
 
     occupied_tokens: bool = True
     """Process only the grid nodes some particle reaches; all of them otherwise (paper)."""
@@ -68,7 +83,7 @@ class TimeStepperConfig:
     """Hidden widths of the kernel from grid to particles."""
 
     latent_width: int = 64
-    """Channels on the grid before the transformer."""
+    """Channels on the grid before the processor."""
 
     transformer_width: int = 256
     """Channels inside the transformer."""
@@ -92,7 +107,20 @@ class TimeStepperConfig:
     """What gates the experts: place (GNOT) or grid features (official code)."""
 
     dropout: float = 0.0
-    """Dropout on the attention outputs (the official code uses 0.3)."""
+    """Dropout in the attention, before and after its last map (the official code uses 0.3)."""
+
+    fourier_width: int = 32
+    """Channels inside the Fourier operator."""
+
+    fourier_layers: int = 2
+    """Layers of the Fourier operator."""
+
+    fourier_modes: int = 8
+    """Frequencies kept along each axis; those a grid of ``latent_side`` nodes cannot hold are
+    never used."""
+
+    fourier_hidden: int = 32
+    """Hidden channels where the Fourier operator lifts and projects."""
 
     input_skip: Literal["none", "linear", "gated"] = "none"
     """Add accelerations from each particle's own features: a linear map, or one that the rest
@@ -118,7 +146,11 @@ class TimeStepperConfig:
     def paper(
         cls, dimension: int = 3, *, node_skip: bool | str = True, **overrides: Any
     ) -> "TimeStepperConfig":
-        """The model of the published checkpoints, 2,387,669 parameters in three dimensions.
+        """The published model, 2,387,669 parameters in three dimensions, 3,493,686 in two.
+
+        In three dimensions that of the checkpoints, in two that of the official configuration,
+        whose grid reads decoded accelerations, replaces the node features and, being on
+        [-1, 1]^2, reaches 43 % of the unit square.
 
         Args:
             dimension: Space dimension.
@@ -143,7 +175,15 @@ class TimeStepperConfig:
             "occupied_tokens": False,
             "gno_kernel": "official",
             "gate_input": "features",
+            "dropout": 0.3,
         }
+        if not three:
+            values |= {
+                "latent_width": 32,
+                "transformer_layers": 2,
+                "gno_input": "acceleration",
+                "latent_skip": False,
+            }
         return cls(**(values | overrides))
 
     @classmethod
@@ -173,6 +213,8 @@ class TimeStepperConfig:
         choices = {
             "dimension": (2, 3),
             "node_skip": ("none", "linear"),
+            "processor": ("transformer", "fourier", "fourier_plane", "none"),
+            "gno_input": ("features", "acceleration"),
             "gno_kernel": ("relative", "official"),
             "gate_input": ("coords", "features"),
             "input_skip": ("none", "linear", "gated"),
@@ -198,7 +240,8 @@ class TimeStepperConfig:
     def _check_counts(self) -> None:
         positive = (
             "node_width edge_width particle_types embedding hidden mlp_depth latent_width "
-            "transformer_width heads experts projection_layers projection_width"
+            "transformer_width heads experts projection_layers projection_width fourier_width "
+            "fourier_layers fourier_modes fourier_hidden"
         ).split()
         natural = "layers_before layers_after transformer_layers transformer_mlp_depth".split()
         for least, names in ((1, positive), (0, natural)):
@@ -213,7 +256,21 @@ class TimeStepperConfig:
                 f"position and its length; it must be >= dimension + 1 = {self.dimension + 1}."
             )
 
+    def _check_processor(self) -> None:
+        if self.processor.startswith("fourier") and self.occupied_tokens:
+            raise ValueError(
+                f"TimeStepperConfig.processor={self.processor!r} needs every node of the grid, but "
+                f"occupied_tokens=True leaves out those no particle reaches. Set "
+                f"occupied_tokens to False."
+            )
+        if self.processor == "fourier_plane" and self.dimension != 3:
+            raise ValueError(
+                f"TimeStepperConfig.processor='fourier_plane' maps 3-D bodies to a plane, but "
+                f"dimension={self.dimension}. Use processor 'fourier'."
+            )
+
     def _check_latent(self) -> None:
+        self._check_processor()
         if self.transformer_width % self.heads:
             raise ValueError(
                 f"TimeStepperConfig.heads={self.heads} must divide "

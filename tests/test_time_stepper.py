@@ -48,6 +48,58 @@ def test_the_paper_preset_has_the_published_number_of_parameters(node_skip, expe
     assert sum(parameter.numel() for parameter in model.parameters()) == expected
 
 
+FIRST_VERSION = {
+    "node_skip": "none",
+    "processor": "fourier_plane",
+    "latent_skip": False,
+    "gno_input": "acceleration",
+    "latent_radius": 0.145,
+    "latent_width": 3,
+    "fourier_modes": 24,
+    "projection_layers": 2,
+    "projection_width": 16,
+}
+"""What the first version of arXiv:2407.03925 changes in three dimensions: IO, FNO, IO."""
+
+
+def parameter_count(model: torch.nn.Module) -> int:
+    """All numbers of a network."""
+    return sum(parameter.numel() for parameter in model.parameters())
+
+
+def test_the_first_version_has_the_published_number_of_parameters():
+    """2,006,574 with 1,288,736 in the Fourier operator, complex weights as two numbers each."""
+    model = TimeStepper(TimeStepperConfig.paper(**FIRST_VERSION))
+    assert parameter_count(model) == 2_006_574
+    assert parameter_count(model.latent.fourier) == 1_288_736
+
+
+@pytest.mark.parametrize(
+    ("changes", "published", "unused"),
+    [
+        # Table 8's GNS: ten layers, no grid; a map from 3 to 2 axes that nothing calls.
+        (
+            {"latent": False, "node_skip": "none", "layers_before": 5, "layers_after": 5},
+            1_592_987,
+            8,
+        ),
+        # The configuration file of the official code at its head: its kernel gives 64 channels to
+        # a transformer that takes 128, so that it cannot run; with 128 the kernel is larger.
+        (
+            {"latent_width": 128, "transformer_layers": 2, "projection_layers": 3},
+            3_690_199,
+            -(64 + 1) * 64,
+        ),
+        ({"dimension": 2}, 3_493_694, 8),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:latent_radius")
+def test_other_published_numbers_of_parameters_follow_too(changes, published, unused):
+    """What is published counts layers that nothing calls, or lacks some that are needed."""
+    model = TimeStepper(TimeStepperConfig.paper(**changes))
+    assert parameter_count(model) == published - unused
+
+
 def test_the_default_preset_reaches_every_particle_and_has_a_close_size():
     """The default radius is 1.5 times what covers the grid."""
     model = TimeStepper(TimeStepperConfig.default(latent_bounds=UNIT))
@@ -111,6 +163,89 @@ def test_the_grid_adds_nothing_to_particles_out_of_its_reach():
     assert float(model.coverage(scene)) == 1.0
 
 
+FOURIER = {"occupied_tokens": False, "fourier_modes": 3, "fourier_width": 4, "fourier_hidden": 4}
+
+
+def test_without_a_processor_the_grid_is_two_means_around_a_linear_map():
+    """Written out with a table of all distances: encoder, linear map, decoder, projection."""
+    model, scene = make(processor="none"), features()
+    latent, first = model.latent, scene.position[scene.batch == 0]
+    node = torch.randn(80, 16, dtype=torch.float64)
+    grid = latent.grid
+    place = grid.node_unit(torch.arange(64), first)  # the bounds are the unit cube
+    offset = (first[:, None] - place) / grid.reach
+    near = (offset.square().sum(dim=2) <= 1.0).double()
+    ask = torch.cat([offset, place.expand(40, -1, -1), node[:40, None].expand(-1, 64, -1)], dim=2)
+    token = torch.einsum("qt,qtc->tc", near, latent.encode.kernel(ask))
+    token = latent.pointwise(token / near.sum(dim=0)[:, None].clamp_min(1.0))
+    ask = torch.cat([-offset, first[:, None].expand(-1, 64, -1)], dim=2)
+    back = torch.einsum("qt,qtc,tc->qc", near, latent.decode.kernel(ask), token)
+    expected = latent.projection(back / near.sum(dim=1)[:, None])
+    torch.testing.assert_close(latent(node, scene)[:40], expected, rtol=0, atol=1e-12)
+
+
+def test_without_skip_the_grid_replaces_the_node_features():
+    """With a projection that gives zero nothing of the particle is left: all answers are equal."""
+    for skip, spread in ((True, True), (False, False)):
+        model = make(latent_skip=skip, layers_after=0)
+        with torch.no_grad():
+            for parameter in model.latent.projection.parameters():
+                parameter.zero_()
+            output = model(features())
+        assert bool((output - output[0]).abs().max() > 1e-6) == spread
+
+
+def test_the_grid_reads_decoded_accelerations_if_asked_to():
+    """Features that decode to the same acceleration look the same to the grid."""
+    model, scene = make(gno_input="acceleration", layers_before=0), features()
+    assert model.latent.encode.kernel.layers[0].in_features == 6 + 3
+    with torch.no_grad():
+        model.node_out.layers[-1].weight.zero_()
+    sent = []
+    model.latent.register_forward_hook(lambda _, given, __: sent.append(given[0]))
+    model(scene)
+    torch.testing.assert_close(sent[0], model.node_out.layers[-1].bias.expand(80, 3))
+
+
+def test_particles_that_fall_on_each_other_in_the_plane_read_the_same_from_it():
+    """The learned map forgets a direction: moving along it changes nothing (first version)."""
+    model = make(processor="fourier_plane", gno_kernel="official", **FOURIER)
+    scene, node = features(), torch.randn(80, 16, dtype=torch.float64)
+    forgotten = torch.linalg.svd(model.latent.to_plane.weight.detach())[2][2]
+    moved = replace(scene, position=scene.position + 0.1 * forgotten)
+    other = replace(scene, position=scene.position + 0.1 * forgotten.roll(1))
+    before = model.latent(node, scene)
+    torch.testing.assert_close(model.latent(node, moved), before, rtol=0, atol=1e-10)
+    assert (model.latent(node, other) - before).abs().max() > 1e-6
+    assert float(model.coverage(scene)) == 1.0
+
+
+def test_a_fourier_operator_on_the_grid_reaches_across_the_body():
+    """One layer couples every node with every other; message passing alone does not."""
+    scene = features(radius=0.05)
+    far = scene.position[:40].norm(dim=1).argmax()
+    for options, reached in (
+        ({"processor": "fourier"} | FOURIER, True),
+        ({"processor": "none"}, False),
+    ):
+        model = make(**options)
+        disturbed = replace(scene, node=scene.node.clone())
+        disturbed.node[far] += 1.0
+        change = (model(disturbed) - model(scene)).detach().abs().amax(dim=1)
+        nearest = scene.position[:40].norm(dim=1).argmin()
+        assert bool(change[nearest] > 1e-9) == reached
+        assert float(change[40:].max()) == 0.0
+
+
+def test_without_message_passing_no_edge_is_read():
+    """GNO, FNO, GNO of the ablations (Table 4): no edge network is left to train."""
+    model = make(layers_before=0, layers_after=0, processor="fourier", **FOURIER)
+    assert model.edge_in is None
+    scene = features()
+    other = replace(scene, edge=torch.zeros_like(scene.edge))
+    torch.testing.assert_close(model(other), model(scene), rtol=0, atol=0)
+
+
 def test_without_grid_coverage_is_complete():
     """Nothing is missed where nothing is asked."""
     assert float(make(latent=False).coverage(features())) == 1.0
@@ -157,6 +292,12 @@ def test_deeper_variants_run():
         ({"latent_bounds": [[0.0, 1.0]]}, "latent_bounds must be 3 pairs"),
         ({"latent_bounds": [[0.0, 1.0], [1.0, 0.0], [0.0, 1.0]]}, "with low < high"),
         ({"latent_radius": 0.0}, "latent_radius must be > 0 m, got 0.0"),
+        ({"fourier_modes": 0}, "fourier_modes must be >= 1, got 0"),
+        (
+            {"processor": "fourier", "occupied_tokens": True},
+            "needs every node of the grid.*Set occupied_tokens to False",
+        ),
+        ({"dimension": 2, "processor": "fourier_plane"}, "maps 3-D bodies.*Use processor"),
     ],
 )
 def test_impossible_values_are_refused(changes, message):
@@ -165,7 +306,9 @@ def test_impossible_values_are_refused(changes, message):
         TimeStepperConfig.paper(**changes)
 
 
-@pytest.mark.parametrize("name", ["node_skip", "gno_kernel", "gate_input"])
+@pytest.mark.parametrize(
+    "name", ["node_skip", "gno_kernel", "gno_input", "gate_input", "processor"]
+)
 def test_unknown_choices_are_refused(name):
     """By the class itself (ValueError), or before it by the run-time check of the annotations."""
     values = {"dimension": 3, "node_width": 21, "edge_width": 4, "latent_bounds": UNIT}

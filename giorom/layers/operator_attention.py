@@ -31,12 +31,13 @@ class NormalizedAttention(nn.Module):
         Hao et al., "GNOT", ICML 2023 (arXiv:2302.14376), heterogeneous normalised attention.
     """
 
-    def __init__(self, width: int, *, heads: int) -> None:
+    def __init__(self, width: int, *, heads: int, dropout: float = 0.0) -> None:
         """Make the four linear maps.
 
         Args:
             width: Channels of the tokens; a multiple of ``heads``.
             heads: Number of heads.
+            dropout: Share of the mixed values set to zero in training.
         """
         super().__init__()
         self.heads = heads
@@ -44,6 +45,7 @@ class NormalizedAttention(nn.Module):
         self.key = nn.Linear(width, width)
         self.value = nn.Linear(width, width)
         self.out = nn.Linear(width, width)
+        self.dropout = nn.Dropout(dropout)
 
     def forward(
         self,
@@ -70,7 +72,7 @@ class NormalizedAttention(nn.Module):
         weight = (query * total).sum(dim=-1, keepdim=True)
         weight = weight + (weight == 0)  # a sample without tokens reads zero
         content = query @ (key.transpose(-1, -2) @ value)
-        mixed = query + content / weight
+        mixed = self.dropout(query + content / weight)
         return self.out(mixed.transpose(1, 2).flatten(2))
 
     def _split(self, value: Tensor) -> Tensor:
@@ -136,12 +138,13 @@ class OperatorBlock(nn.Module):
             heads: Attention heads.
             experts: Networks of each mixture.
             expert_hidden: Hidden channels of each network.
-            dropout: Share of attention outputs set to zero in training.
+            dropout: Share of what the attention mixes, and again of what it gives, that is set to
+                zero in training.
         """
         super().__init__()
         self.gate = MLP([gate_width, width, width, experts], activation=functional.gelu)
-        self.cross = NormalizedAttention(width, heads=heads)
-        self.own = NormalizedAttention(width, heads=heads)
+        self.cross = NormalizedAttention(width, heads=heads, dropout=dropout)
+        self.own = NormalizedAttention(width, heads=heads, dropout=dropout)
         self.cross_experts = GatedExperts(width, experts=experts, hidden=expert_hidden)
         self.own_experts = GatedExperts(width, experts=experts, hidden=expert_hidden)
         self.norms = nn.ModuleList(nn.LayerNorm(width) for _ in range(5))
@@ -205,7 +208,8 @@ class OperatorTransformer(nn.Module):
             experts: Networks of each mixture.
             expert_hidden: Hidden channels of each network.
             gate_input: ``coords`` (GNOT) or ``features`` (official code): what gates the experts.
-            dropout: Share of attention outputs set to zero in training.
+            dropout: Share of what the attention mixes, and again of what it gives, that is set to
+                zero in training.
         """
         super().__init__()
         self.gate_on_coordinates = gate_input == "coords"

@@ -47,10 +47,45 @@ def without_grid(dimension: int) -> TimeStepper:
     return giorom(dimension, latent=False)
 
 
+def first_version(dimension: int) -> TimeStepper:
+    """A Fourier operator on the grid, for 3-D bodies on a plane; no skip, accelerations sent."""
+    return giorom(
+        dimension,
+        processor="fourier_plane" if dimension == 3 else "fourier",
+        fourier_modes=4,
+        fourier_width=8,
+        fourier_hidden=8,
+        occupied_tokens=False,
+        gno_input="acceleration",
+        latent_skip=False,
+    )
+
+
+def fourier_alone(dimension: int) -> TimeStepper:
+    """Kernel integrals and a native Fourier operator without message passing."""
+    return giorom(
+        dimension,
+        processor="fourier",
+        fourier_modes=4,
+        fourier_width=8,
+        occupied_tokens=False,
+        layers_before=0,
+        layers_after=0,
+    )
+
+
+def unprocessed(dimension: int) -> TimeStepper:
+    """To the grid and back."""
+    return giorom(dimension, processor="none")
+
+
 STEPPERS: dict[str, Callable[[int], nn.Module]] = {
     "giorom": giorom,
     "published": published,
     "without_grid": without_grid,
+    "first_version": first_version,
+    "fourier_alone": fourier_alone,
+    "unprocessed": unprocessed,
 }
 
 TRANSLATION_INVARIANT = {"without_grid"}
