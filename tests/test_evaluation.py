@@ -33,6 +33,15 @@ SCORES = (
     "relative_displacement_error",
     "rollout_mse_at",
     "error_per_frame",
+    "clamped_constant_velocity_mse",
+    "ballistic_clamped_mse",
+    "frozen_shape_mse",
+    "static_mse_at",
+    "chamfer",
+    "density_difference",
+    "sliced_wasserstein",
+    "final_centroid_error",
+    "final_bounding_box_error",
     *TRIVIAL,
 )
 DEMO = (
@@ -159,6 +168,10 @@ def test_oracle_has_no_error_and_all_keys(simulator, data_folder):
         assert scores["relative_displacement_error"] < 1e-3
         assert scores["amplitude_ratio"] == pytest.approx(1.0, abs=1e-3)
         assert scores["static_mse"] > 1e-5
+        assert 0.0 < scores["frozen_shape_mse"] < scores["static_mse"]
+        assert max(scores["chamfer"], scores["sliced_wasserstein"]) < ROUNDING
+        assert scores["density_difference"] < 0.05
+        assert max(scores["final_centroid_error"], scores["final_bounding_box_error"]) < 1e-6
         assert len(scores["error_per_frame"]) == trajectory.frame_count
     assert result["full"]["projection_floor_mse"] < ROUNDING
     summary = summarize([result, result], system="tiny")

@@ -6,10 +6,16 @@ import pytest
 import torch
 from torch import Tensor
 
-from giorom.evaluation.trivial import constant_velocity, free_fall, hold_still
+from giorom.evaluation.comparison import surroundings_of, trivial_predictions
+from giorom.evaluation.trivial import (
+    constant_velocity,
+    free_fall,
+    frozen_shape,
+    hold_still,
+)
 from giorom.graph import Edges
 from giorom.pipeline import connect_within, rollout
-from giorom.state import KINEMATIC, SAND, SparseState
+from giorom.state import KINEMATIC, SAND, SparseState, Trajectory
 
 GRAVITY = torch.tensor([0.0, -9.81], dtype=torch.float64)
 
@@ -97,3 +103,62 @@ def test_predictions_stay_on_the_device_of_the_state():
     """Nothing is made elsewhere; the meta device refuses to mix with the CPU."""
     given = state().to("meta")
     assert constant_velocity(given, 4).device.type == "meta"
+
+
+def moved(given: SparseState, way: Tensor) -> Tensor:
+    """The last frame, carried along ``way`` frame by frame."""
+    return given.position + way[:, None]
+
+
+def test_the_frozen_shape_is_exact_for_a_body_that_keeps_its_shape():
+    """Pure translation: the centroid is all there is to know; kinematic particles follow too."""
+    given = state()
+    way = torch.rand(5, 2, dtype=torch.float64)
+    truth = moved(given, way)
+    torch.testing.assert_close(frozen_shape(given, truth), truth, rtol=0, atol=1e-14)
+
+
+def test_the_frozen_shape_keeps_the_centroid_and_misses_what_is_about_it():
+    """Error = mean square of the deformation, whose mean over free particles is zero."""
+    given = state()
+    noise = torch.rand(5, 8, 2, dtype=torch.float64)
+    noise[:, 0] = 0.0
+    noise[:, 1:] -= noise[:, 1:].mean(dim=1, keepdim=True)
+    truth = moved(given, torch.rand(5, 2, dtype=torch.float64)) + noise
+    found = frozen_shape(given, truth)
+    torch.testing.assert_close(truth - found, noise, rtol=0, atol=1e-14)
+
+
+def test_bodies_that_part_each_follow_their_own_centroid():
+    """Two bodies going apart: exact body by body, and not as one."""
+    given = state()
+    body = torch.tensor([0, 0, 0, 0, 1, 1, 1, 1])
+    way = torch.where(body[:, None] == 0, 1.0, -1.0) * torch.tensor([1.0, 0.0]).double()
+    truth = given.position + way * torch.arange(1.0, 4.0).double()[:, None, None]
+    exact = frozen_shape(given, truth, body=body)
+    torch.testing.assert_close(exact, truth, rtol=0, atol=1e-14)
+    assert float((frozen_shape(given, truth) - truth).abs().max()) > 0.5
+
+
+def test_bodies_are_told_by_the_numbers_of_their_points():
+    """Stored body after body; counts that do not add up make one body of all."""
+    shared = {"particle_type": torch.full((5,), SAND), "frame_dt": 0.1}
+    bounds = torch.tensor([[0.0, 1.0]] * 2)
+    for counts, expected in (([2, 3], [0, 0, 1, 1, 1]), ([2, 2], [0] * 5), ([], [0] * 5)):
+        attributes = {"gravity": 2.5, "bodies": [{"points": count} for count in counts]}
+        trajectory = Trajectory(
+            position=torch.zeros(3, 5, 2), bounds=bounds, attributes=attributes, **shared
+        )
+        found = surroundings_of(trajectory)
+        assert found.body.tolist() == expected
+        assert found.gravity.tolist() == [0.0, -2.5]
+
+
+def test_names_that_say_clamped_hold_what_stops_at_the_walls():
+    """The older names always did: same positions, inside the walls."""
+    given = state(bounds=1.0)
+    truth = given.position.expand(40, -1, -1)
+    found = trivial_predictions(given, truth, gravity=GRAVITY)
+    assert torch.equal(found["constant_velocity"], found["clamped_constant_velocity"])
+    assert torch.equal(found["free_fall"], found["ballistic_clamped"])
+    assert float(found["ballistic_clamped"].abs().max()) <= 1.0

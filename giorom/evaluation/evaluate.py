@@ -6,83 +6,30 @@ stand beside each. Kinematic particles follow the data in every prediction: they
 the means are over all particles, as in the paper.
 """
 
-from dataclasses import dataclass
 from typing import Any
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Int
 from torch import Tensor
 
-from giorom.evaluation.metrics import (
-    amplitude_ratio,
-    displacement_correlation,
-    relative_displacement_error,
-    squared_error_per_frame,
-)
+from giorom.evaluation.comparison import Comparison, surroundings_of, trivial_predictions
+from giorom.evaluation.metrics import squared_error_per_frame
 from giorom.evaluation.rollout import roll_out
-from giorom.evaluation.trivial import constant_velocity, free_fall, hold_still
 from giorom.integrate import advance
 from giorom.pipeline import Decode, start_from_trajectory
 from giorom.simulator import Simulator
-from giorom.state import SparseState, Trajectory
-
-REPORT_FRAMES = (50, 100, 200, 400)
-"""Frames at which the mean error so far is reported separately."""
+from giorom.state import Trajectory
 
 ONE_STEP_STRIDE = 5
 """Every how many frames the one-step error is measured."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Comparison:
-    """A true motion and what was predicted for it, on one set of points."""
-
-    given: Float[Tensor, "g p d"]
-    """True positions at the given frames [m]."""
-
-    truth: Float[Tensor, "t p d"]
-    """True positions at the predicted frames [m]."""
-
-    predicted: Float[Tensor, "t p d"]
-    """Positions the model predicted [m]."""
-
-    trivial: dict[str, Float[Tensor, "t p d"]]
-    """Positions the trivial predictions give [m]."""
-
-    def scores(self) -> dict[str, Any]:
-        """The keys of ``giorom evaluate --json`` for one trajectory and one set of points."""
-        error = squared_error_per_frame(self.predicted, self.truth)
-        frames, given = len(error), len(self.given)
-        with_given = float(error.sum()) / (frames + given)
-        first = self.given[:1]
-        result: dict[str, Any] = {
-            "rollout_mse": with_given,
-            "rollout_mse_without_seed_frames": float(error.mean()),
-            "rollout_mse_axis_mean": with_given / self.truth.shape[2],
-            "relative_displacement_error": relative_displacement_error(
-                torch.cat([first, self.predicted]), torch.cat([first, self.truth])
-            ),
-            "amplitude_ratio": amplitude_ratio(
-                torch.cat([first, self.predicted]), torch.cat([first, self.truth])
-            ),
-            "displacement_correlation": displacement_correlation(
-                torch.cat([first, self.predicted]), torch.cat([first, self.truth])
-            ),
-            "rollout_mse_at": {
-                str(frame): float(error[: frame - given].sum()) / frame
-                for frame in REPORT_FRAMES
-                if given < frame <= frames + given
-            },
-            "error_per_frame": [0.0] * given + error.tolist(),
-        }
-        for name, positions in self.trivial.items():
-            mean = squared_error_per_frame(positions, self.truth).sum()
-            result[f"{name}_mse"] = float(mean) / (frames + given)
-        return result
-
-
 def evaluate_trajectory(
-    simulator: Simulator, trajectory: Trajectory, *, frames: int | None = None
+    simulator: Simulator,
+    trajectory: Trajectory,
+    *,
+    frames: int | None = None,
+    sparse_points: int | None = None,
 ) -> dict[str, Any]:
     """Roll one held-out trajectory out from its first frames and compare.
 
@@ -90,6 +37,7 @@ def evaluate_trajectory(
         simulator: The model.
         trajectory: Full-order truth.
         frames: Frames to predict; by default all there are.
+        sparse_points: Number of samples; by default the trained reduction.
 
     Returns:
         ``sparse`` and ``full`` scores, sizes, and the frame of divergence, if any.
@@ -105,7 +53,7 @@ def evaluate_trajectory(
             f"trajectory has {trajectory.frame_count}. Use longer trajectories."
         )
     frames = available if frames is None else min(frames, available)
-    samples = simulator.sample(trajectory.position[0])
+    samples = simulator.sample(trajectory.position[0], count=sparse_points)
     state = start_from_trajectory(trajectory, samples, history=history)
     truth = trajectory.position[history : history + frames]
     sparse = roll_out(
@@ -115,22 +63,11 @@ def evaluate_trajectory(
         acceleration=simulator.dynamics,
         prescribed=truth[:, samples],
     )
-    gravity = _gravity(trajectory)
     decode = simulator.decoder(trajectory.position[0], trajectory.kinematic, samples=samples)
-    everything = torch.arange(trajectory.position.shape[1])
-    full_state = start_from_trajectory(trajectory, everything, history=history)
-    sparse_scores = Comparison(
-        given=trajectory.position[:history, samples],
-        truth=truth[:, samples],
-        predicted=sparse.position,
-        trivial=_trivial(state, truth[:, samples], gravity),
-    ).scores()
-    full_scores = Comparison(
-        given=trajectory.position[:history],
-        truth=truth,
-        predicted=_decoded(decode, sparse.position, trajectory.kinematic, truth),
-        trivial=_trivial(full_state, truth, gravity),
-    ).scores()
+    full = _decoded(decode, sparse.position, trajectory.kinematic, truth)
+    everything = torch.arange(trajectory.position.shape[1], device=samples.device)
+    sparse_scores = _scores(trajectory, samples, sparse.position, history=history)
+    full_scores = _scores(trajectory, everything, full, history=history)
     floor = _decoded(decode, truth[:, samples], trajectory.kinematic, truth)
     floor_error = squared_error_per_frame(floor, truth)
     full_scores["projection_floor_mse"] = float(floor_error.sum()) / (frames + history)
@@ -199,8 +136,22 @@ def summarize(results: list[dict[str, Any]], *, system: str) -> dict[str, Any]:
     return summary
 
 
+SPREAD = (
+    "one_step_mse",
+    "rollout_mse",
+    "static_mse",
+    "constant_velocity_mse",
+    "free_fall_mse",
+    "frozen_shape_mse",
+)
+"""Scores whose standard deviation over trajectories is reported, as ``..._std``."""
+
+
 def _mean_of(scores: list[dict[str, Any]]) -> dict[str, Any]:
-    """Mean over trajectories of every score; of curves, frame by frame."""
+    """Mean over trajectories of every score; of curves, frame by frame.
+
+    A score that some trajectories do not have (None) is the mean over the others.
+    """
     result: dict[str, Any] = {}
     for key, value in scores[0].items():
         values = [score[key] for score in scores]
@@ -211,30 +162,37 @@ def _mean_of(scores: list[dict[str, Any]]) -> dict[str, Any]:
             length = min(len(v) for v in values)
             result[key] = [sum(v[i] for v in values) / len(values) for i in range(length)]
         else:
-            result[key] = sum(values) / len(values)
+            known = [v for v in values if v is not None]
+            result[key] = sum(known) / len(known) if known else None
     if len(scores) > 1:
-        errors = torch.tensor([score["rollout_mse"] for score in scores], dtype=torch.float64)
-        result["rollout_mse_std"] = float(errors.std())
+        for key in SPREAD:
+            if key in scores[0]:
+                values = torch.tensor([score[key] for score in scores], dtype=torch.float64)
+                result[f"{key}_std"] = float(values.std())
     return result
 
 
-def _trivial(state: SparseState, truth: Tensor, gravity: Tensor) -> dict[str, Tensor]:
-    frames = len(truth)
-    return {
-        "constant_velocity": constant_velocity(state, frames, prescribed=truth),
-        "free_fall": free_fall(state, frames, gravity=gravity, prescribed=truth),
-        "static": hold_still(state, frames, prescribed=truth),
-    }
+def _scores(
+    trajectory: Trajectory, points: Int[Tensor, " q"], predicted: Tensor, *, history: int
+) -> dict[str, Any]:
+    """Scores of a prediction for some points of a trajectory, trivial ones beside it."""
+    surroundings = surroundings_of(trajectory)
+    truth = trajectory.position[history : history + len(predicted), points]
+    state = start_from_trajectory(trajectory, points, history=history)
+    trivial = trivial_predictions(
+        state, truth, gravity=surroundings.gravity, body=surroundings.body[points]
+    )
+    return Comparison(
+        given=trajectory.position[:history, points],
+        truth=truth,
+        predicted=predicted,
+        trivial=trivial,
+        bounds=trajectory.bounds,
+        swings=bool(trajectory.kinematic.any()),
+    ).scores()
 
 
 def _decoded(decode: Decode, samples: Tensor, kinematic: Tensor, truth: Tensor) -> Tensor:
     """Positions of all particles at every frame; the kinematic ones where the data have them."""
     position = torch.stack([decode(frame) for frame in samples])
     return torch.where(kinematic[:, None], truth, position)
-
-
-def _gravity(trajectory: Trajectory) -> Tensor:
-    """Gravity of the scene [m/s^2]; axis 1 points up."""
-    gravity = trajectory.position.new_zeros(trajectory.position.shape[2])
-    gravity[1] = -float(trajectory.attributes.get("gravity", 9.8))
-    return gravity

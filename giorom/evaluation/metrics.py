@@ -4,6 +4,7 @@ Squared errors are squared Euclidean distances (summed over axes), averaged over
 frames, in square metres: the convention of arXiv:2407.03925.
 """
 
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -47,3 +48,15 @@ def displacement_correlation(
     a = (predicted.double() - truth[:1].double()).flatten()
     b = (truth.double() - truth[:1].double()).flatten()
     return float(a @ b / (a.norm() * b.norm()).clamp_min(1e-300))
+
+
+def centroid_error(predicted: Float[Tensor, "p d"], truth: Float[Tensor, "p d"]) -> float:
+    """Distance between the centroids of two clouds [m]."""
+    return float((predicted.double().mean(dim=0) - truth.double().mean(dim=0)).norm())
+
+
+def bounding_box_error(predicted: Float[Tensor, "p d"], truth: Float[Tensor, "p d"]) -> float:
+    """Mean distance between corresponding sides of the two bounding boxes [m]."""
+    lower = (predicted.double().amin(dim=0) - truth.double().amin(dim=0)).abs()
+    upper = (predicted.double().amax(dim=0) - truth.double().amax(dim=0)).abs()
+    return float(torch.cat([lower, upper]).mean())

@@ -12,10 +12,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from giorom.evaluation.evaluate import Comparison
+from giorom.evaluation.comparison import Comparison, surroundings_of, trivial_predictions
 from giorom.evaluation.metrics import squared_error_per_frame
 from giorom.evaluation.stopwatch import Stopwatch, synchronize
-from giorom.evaluation.trivial import constant_velocity, free_fall, hold_still
 from giorom.mpm import Scene, SceneConfig, simulate
 from giorom.pipeline import rollout, start_from_velocity
 from giorom.simulator import Simulator, check_frames
@@ -155,11 +154,13 @@ def _compare(
         given=scene.position[None],
         truth=truth.position[1:],
         predicted=predicted,
-        trivial={
-            "constant_velocity": constant_velocity(everything, frames),
-            "free_fall": free_fall(everything, frames, gravity=gravity),
-            "static": hold_still(everything, frames),
-        },
+        trivial=trivial_predictions(
+            everything,
+            truth.position[1:],
+            gravity=gravity,
+            body=surroundings_of(truth).body,
+        ),
+        swings=bool(scene.kinematic.any()),
     ).scores()
     decode = simulator.decoder(scene.position, scene.kinematic, samples=samples)
     floor = torch.stack([decode(position) for position in truth.position[1:, samples]])
