@@ -98,6 +98,7 @@ def load_training_data(experiment: Experiment, folder: Path) -> TrainingData:
         experiment.sampling,
         subsets=training.subsets,
         reference_radius=reference,
+        kind=experiment.graph.kind,
         past=past,
     )
     validation = sample_trajectories(
@@ -105,6 +106,7 @@ def load_training_data(experiment: Experiment, folder: Path) -> TrainingData:
         experiment.sampling,
         subsets=1,
         reference_radius=reference,
+        kind=experiment.graph.kind,
         past=past,
     )
     return TrainingData(

@@ -1,9 +1,10 @@
-"""Connect the sampled particles: radius graphs, and the radius itself.
+"""Connect the sampled particles: radius graphs, the radius itself, Delaunay graphs.
 
 Stage 3 of the pipeline. An edge joins two particles of the same scene whose distance is at
 most ``radius``; every edge has its reverse, every particle has a self-loop, and no particle
-ever loses a neighbour to a cap. The radius follows from connectivity: the sparse graph must
-have as many connected components as the full-order one (arXiv:2407.03925v2, section 5.2),
+ever loses a neighbour to a cap. Delaunay graphs, which the paper tried, join the corners of
+the simplices of a triangulation instead. The radius follows from connectivity: the sparse graph
+must have as many connected components as the full-order one (arXiv:2407.03925v2, section 5.2),
 which a minimum spanning tree answers in closed form.
 """
 
@@ -20,13 +21,20 @@ from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 from scipy.spatial import cKDTree
 from torch import Tensor
 
+from giorom.delaunay import delaunay_pairs
+
 
 @dataclass(frozen=True, kw_only=True)
 class GraphConfig:
     """How the interaction graph is built."""
 
+    kind: Literal["radius", "delaunay", "delaunay_official"] = "radius"
+    """Neighbours within the radius, neighbours in the Delaunay triangulation, or what the official
+    code keeps of the latter: three edges of each simplex, in one direction, without self-loops."""
+
     radius: float | None = None
-    """Interaction radius [m]; null: chosen from the connected components of the training bodies."""
+    """Interaction radius [m]; null: chosen from the connected components of the training bodies. A
+    Delaunay graph has it as unit of length alone."""
 
     margin: float = 1.5
     """Factor on the smallest radius that keeps the components of the full graph."""
@@ -125,6 +133,47 @@ def radius_edges(position: Float[Tensor, "q d"], batch: Int[Tensor, " q"], radiu
     else:
         sender, receiver = _pairs_by_cells(position, batch, radius)
     return _sorted_edges(sender, receiver, position.shape[0])
+
+
+def delaunay_edges(
+    position: Float[Tensor, "q d"], batch: Int[Tensor, " q"], *, official: bool = False
+) -> Edges:
+    """Connect the corners of every simplex of the Delaunay triangulation of each scene.
+
+    Args:
+        position: Positions [m].
+        batch: Scene of each particle, ascending.
+        official: Keep what the official code keeps: the edges between the first three corners of a
+            simplex, from the lower to the higher particle number, no self-loops.
+
+    Returns:
+        Edges sorted by receiver, then sender; both directions and self-loops unless ``official``.
+
+    Raises:
+        ValueError: If a position is not finite, or all particles of a scene lie in a plane (in 2-D
+            on a line).
+
+    Source:
+        arXiv:2407.03925v2, Table 13 (Delaunay graphs).
+    """
+    if not bool(torch.isfinite(position).all()):
+        raise ValueError("positions must be finite, found NaN or infinity; no graph can be built.")
+    points, scene = position.detach().cpu().double().numpy(), batch.cpu().numpy()
+    found = [] if official else [np.stack([np.arange(len(points))] * 2, axis=1)]
+    for start, stop in _scene_ranges(scene):
+        pairs = delaunay_pairs(points[start:stop], official=official) + start
+        found += [pairs] if official else [pairs, pairs[:, ::-1]]
+    pairs = torch.from_numpy(np.concatenate(found)).to(position.device)
+    return _sorted_edges(pairs[:, 0], pairs[:, 1], len(points))
+
+
+def connect_points(
+    position: Float[Tensor, "q d"], batch: Int[Tensor, " q"], *, radius: float, kind: str
+) -> Edges:
+    """The graph of a ``GraphConfig.kind``; ``radius`` in metres counts for one of them."""
+    if kind == "radius":
+        return radius_edges(position, batch, radius)
+    return delaunay_edges(position, batch, official=kind == "delaunay_official")
 
 
 def concatenate_edges(edges: list[Edges]) -> Edges:
@@ -275,13 +324,18 @@ def _distance_graph(points: np.ndarray, radius: float) -> coo_matrix:
 def _pairs_by_tree(position: Tensor, batch: Tensor, radius: float) -> tuple[Tensor, Tensor]:
     """Neighbour pairs on the CPU, one k-d tree per scene; self-loops included."""
     points, scene = position.detach().double().numpy(), batch.numpy()
-    starts = np.flatnonzero(np.r_[True, scene[1:] != scene[:-1], True]) if len(scene) else [0]
     found = [np.stack([np.arange(len(points))] * 2, axis=1)]
-    for start, stop in pairwise(starts):
+    for start, stop in _scene_ranges(scene):
         pairs = cKDTree(points[start:stop]).query_pairs(radius, output_type="ndarray") + start
         found += [pairs, pairs[:, ::-1]]
     pairs = torch.from_numpy(np.concatenate(found))
     return pairs[:, 0], pairs[:, 1]
+
+
+def _scene_ranges(scene: np.ndarray) -> list[tuple[int, int]]:
+    """First particle of each scene and of the next."""
+    starts = np.flatnonzero(np.r_[True, scene[1:] != scene[:-1], True]) if len(scene) else [0]
+    return [(int(start), int(stop)) for start, stop in pairwise(starts)]
 
 
 def _pairs_by_cells(position: Tensor, batch: Tensor, radius: float) -> tuple[Tensor, Tensor]:

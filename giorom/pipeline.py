@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from giorom.features import FeatureConfig, Features, compute_features
-from giorom.graph import Edges, radius_edges
+from giorom.graph import Edges, connect_points
 from giorom.integrate import advance
 from giorom.normalization import Normalization
 from giorom.state import SparseState, Trajectory
@@ -60,12 +60,12 @@ class Dynamics(nn.Module):
         return self.normalization.physical_acceleration(self.normalized(state, edges))
 
 
-def connect_within(radius: float, *, configuration: str) -> Connect:
-    """Stage 3 as a function: the radius graph of the current or of the reference positions."""
+def connect_within(radius: float, *, configuration: str, kind: str = "radius") -> Connect:
+    """Stage 3 as a function: the graph of the current or of the reference positions."""
 
     def connect(state: SparseState) -> Edges:
         position = state.reference if configuration == "reference" else state.position
-        return radius_edges(position, state.batch, radius)
+        return connect_points(position, state.batch, radius=radius, kind=kind)
 
     def connect_once(state: SparseState) -> Edges:
         if not known or known[0] is not state.reference:

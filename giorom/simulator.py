@@ -134,7 +134,7 @@ class Simulator(nn.Module):
     def connect(self) -> Connect:
         """Stage 3 with this simulator's radius."""
         graph = self.config.graph
-        return connect_within(graph.radius, configuration=graph.configuration)
+        return connect_within(graph.radius, configuration=graph.configuration, kind=graph.kind)
 
     def sample(
         self, position: Float[Tensor, "p d"], *, count: int | None = None

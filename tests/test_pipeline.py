@@ -86,13 +86,13 @@ def test_oracles_reproduce_free_fall_of_every_point(dimension, configuration):
 
 def count_builds(monkeypatch: pytest.MonkeyPatch) -> list[Tensor]:
     """Positions of every graph that is built from now on."""
-    built, build = [], pipeline.radius_edges
+    built, build = [], pipeline.connect_points
 
-    def counting(position, batch, radius):
+    def counting(position, batch, **options):
         built.append(position)
-        return build(position, batch, radius)
+        return build(position, batch, **options)
 
-    monkeypatch.setattr(pipeline, "radius_edges", counting)
+    monkeypatch.setattr(pipeline, "connect_points", counting)
     return built
 
 

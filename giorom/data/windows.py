@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from giorom.graph import Edges, concatenate_edges, radius_edges
+from giorom.graph import Edges, concatenate_edges, connect_points
 from giorom.sampling import SamplingConfig, sample
 from giorom.state import SparseState, Trajectory, concatenate_states
 
@@ -58,6 +58,7 @@ def sample_trajectories(
     *,
     subsets: int,
     reference_radius: float | None,
+    kind: str = "radius",
     past: int = 0,
 ) -> list[SampledTrajectory]:
     """Sample each trajectory ``subsets`` times.
@@ -68,6 +69,7 @@ def sample_trajectories(
         subsets: Different samples per trajectory; the first is the one that use would take.
         reference_radius: Radius of a graph that is fixed in the undeformed body [m]; none where
             the graph follows the current positions.
+        kind: Of that graph, as in ``GraphConfig``.
         past: Frames to put before the first one, extrapolated straight from the first two: how a
             scene starts from a shape and a velocity.
     """
@@ -80,7 +82,7 @@ def sample_trajectories(
             edges = None
             if reference_radius is not None:
                 batch = torch.zeros(len(reference), dtype=torch.long)
-                edges = radius_edges(reference, batch, reference_radius)
+                edges = connect_points(reference, batch, radius=reference_radius, kind=kind)
             motion = replace(motion, position=with_straight_past(motion.position, past))
             result.append(SampledTrajectory(motion=motion, reference=reference, edges=edges))
     return result
