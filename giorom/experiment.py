@@ -360,7 +360,7 @@ def _validation(
     known = truth.to(device)
 
     def validate(model: nn.Module) -> dict[str, float]:
-        result = roll_out(state, frames, connect=connect, acceleration=model, prescribed=known)
+        result = roll_out(state, frames, connect=connect, step=model.step, prescribed=known)
         error = squared_error_per_frame(result.position.cpu(), truth)
         still = squared_error_per_frame(hold_still(state, frames, prescribed=known).cpu(), truth)
         mse = float(error.mean()) if result.diverged_at is None else float("inf")

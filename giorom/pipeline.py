@@ -1,6 +1,6 @@
 """The whole method: from a sparse state to the full-order motion (Algorithm 1).
 
-Stages 3 to 6 composed. ``rollout`` is the loop; what accelerates the samples and what recovers the
+Stages 3 to 6 composed. ``rollout`` is the loop; what moves the samples and what recovers the
 other points are handed in, so that an oracle can stand in for either.
 """
 
@@ -14,10 +14,15 @@ from giorom.features import FeatureConfig, Features, compute_features
 from giorom.graph import Edges, connect_points
 from giorom.integrate import advance
 from giorom.normalization import Normalization
+from giorom.sampling import represented_particles
 from giorom.state import SparseState, Trajectory
 
 Acceleration = Callable[[SparseState, Edges], Tensor]
 """Stage 4: accelerations [m/s^2] of the samples, shape (q, d), from their state and graph."""
+
+Step = Callable[[SparseState, Edges, Tensor | None], SparseState]
+"""Stages 4 and 5: the state one frame later, from the state, its graph and the positions of which
+the kinematic rows are prescribed [m]; without those, kinematic particles stay where they are."""
 
 Connect = Callable[[SparseState], Edges]
 """Stage 3: the interaction graph of a sparse state."""
@@ -59,6 +64,24 @@ class Dynamics(nn.Module):
         """Acceleration of every sample [m/s^2]."""
         return self.normalization.physical_acceleration(self.normalized(state, edges))
 
+    def step(
+        self,
+        state: SparseState,
+        edges: Edges,
+        prescribed: Float[Tensor, "q d"] | None = None,
+    ) -> SparseState:
+        """The state one frame later; kinematic samples go where ``prescribed`` says [m]."""
+        return advance(state, self(state, edges), prescribed=prescribed)
+
+
+def integrated(acceleration: Acceleration) -> Step:
+    """Stages 4 and 5 from stage 4 alone: semi-implicit Euler moves what it accelerates."""
+
+    def step(state: SparseState, edges: Edges, prescribed: Tensor | None = None) -> SparseState:
+        return advance(state, acceleration(state, edges), prescribed=prescribed)
+
+    return step
+
 
 def connect_within(radius: float, *, configuration: str, kind: str = "radius") -> Connect:
     """Stage 3 as a function: the graph of the current or of the reference positions."""
@@ -81,7 +104,7 @@ def rollout(
     frames: int,
     *,
     connect: Connect,
-    acceleration: Acceleration,
+    step: Step,
     prescribed: Float[Tensor, "t q d"] | None = None,
 ) -> Iterator[SparseState]:
     """Simulate the samples: graph, network, integration, frame after frame.
@@ -92,7 +115,7 @@ def rollout(
         state: Initial sparse state.
         frames: Number of frames to add.
         connect: Stage 3.
-        acceleration: Stage 4.
+        step: Stages 4 and 5.
         prescribed: Positions at each of the frames to come, of which the kinematic rows are used
             [m]; by default kinematic particles stay where they are.
 
@@ -115,7 +138,7 @@ def rollout(
         known = None if prescribed is None else prescribed[frame]
         with torch.no_grad():
             edges = connect(state)
-            state = advance(state, acceleration(state, edges), prescribed=known)
+            state = step(state, edges, known)
         if not bool(torch.isfinite(state.position).all()):
             raise FloatingPointError(
                 f"the rollout is no longer finite at frame {frame + 1} of {frames}: the "
@@ -129,14 +152,12 @@ def full_order_rollout(
     frames: int,
     *,
     connect: Connect,
-    acceleration: Acceleration,
+    step: Step,
     decode: Decode,
     prescribed: Float[Tensor, "t q d"] | None = None,
 ) -> Iterator[Float[Tensor, "p d"]]:
     """Algorithm 1 to its end: positions of all points, frame after frame [m]."""
-    for sparse in rollout(
-        state, frames, connect=connect, acceleration=acceleration, prescribed=prescribed
-    ):
+    for sparse in rollout(state, frames, connect=connect, step=step, prescribed=prescribed):
         yield decode(sparse.position)
 
 
@@ -148,6 +169,7 @@ def start_from_velocity(
     bounds: Float[Tensor, "d 2"],
     frame_dt: float,
     history: int,
+    weight: Float[Tensor, " q"] | None = None,
 ) -> SparseState:
     """A sparse state at rest shape and given velocity; earlier frames are its straight past.
 
@@ -158,6 +180,7 @@ def start_from_velocity(
         bounds: Walls of the domain [m].
         frame_dt: Time between frames [s].
         history: Frames the time-stepper looks back on.
+        weight: Full-order particles each sample stands for.
     """
     steps = torch.arange(history - 1, -1, -1, dtype=reference.dtype, device=reference.device)
     past = reference[:, None] - velocity[:, None] * (steps * frame_dt)[None, :, None]
@@ -169,6 +192,7 @@ def start_from_velocity(
         batch_size=1,
         bounds=bounds,
         frame_dt=frame_dt,
+        weight=weight,
     )
 
 
@@ -196,4 +220,5 @@ def start_from_trajectory(
         batch_size=1,
         bounds=trajectory.bounds,
         frame_dt=trajectory.frame_dt,
+        weight=represented_particles(trajectory.position[0], samples),
     )

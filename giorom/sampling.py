@@ -10,6 +10,7 @@ from typing import Literal
 
 import torch
 from jaxtyping import Float, Int
+from scipy.spatial import cKDTree
 from torch import Tensor
 
 
@@ -73,6 +74,26 @@ def sample(
     if config.method == "random":
         return sample_random(position, count, generator=generator)
     return sample_stride(position, count)
+
+
+def represented_particles(
+    position: Float[Tensor, "p d"], samples: Int[Tensor, " q"]
+) -> Float[Tensor, " q"]:
+    """How many particles are nearest to each sample, itself included: its share of the mass.
+
+    Args:
+        position: Undeformed positions of all particles [m].
+        samples: Which of them are samples.
+
+    Returns:
+        Counts that add up to p.
+    """
+    if len(samples) == len(position):
+        return position.new_ones(len(samples))
+    tree = cKDTree(position[samples].detach().cpu().numpy())
+    owner = tree.query(position.detach().cpu().numpy())[1]
+    count = torch.bincount(torch.as_tensor(owner), minlength=len(samples))
+    return count.to(position)
 
 
 def sample_farthest(

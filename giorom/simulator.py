@@ -31,7 +31,7 @@ from giorom.pipeline import (
     start_from_velocity,
 )
 from giorom.records import nearest, one_line, parse_record
-from giorom.sampling import SamplingConfig, sample
+from giorom.sampling import SamplingConfig, represented_particles, sample
 from giorom.state import KINEMATIC, SparseState, Trajectory
 from giorom.time_stepper import TimeStepper, TimeStepperConfig
 from giorom.version import __version__
@@ -171,6 +171,7 @@ class Simulator(nn.Module):
             bounds=position.new_tensor(self.config.bounds),
             frame_dt=self.config.frame_dt,
             history=self.config.features.history,
+            weight=represented_particles(position, samples),
         )
 
     def decoder(
@@ -213,7 +214,7 @@ class Simulator(nn.Module):
             state,
             frames,
             connect=self.connect,
-            acceleration=self.dynamics,
+            step=self.dynamics.step,
             decode=self.decoder(position, kinematic, samples=samples),
             prescribed=None if prescribed is None else prescribed[:, samples],
         )

@@ -115,6 +115,12 @@ class SparseState:
     frame_dt: float
     """Time between frames [s]."""
 
+    weight: Float[Tensor, " q"] | None = None
+    """Full-order particles each sample stands for; ``None``: unknown, all alike."""
+
+    memory: Float[Tensor, "q m"] | None = None
+    """What a time-stepper keeps of the past beside positions; ``None`` at the start."""
+
     @property
     def position(self) -> Tensor:
         """Positions at the current frame, shape (q, d) [m]."""
@@ -132,8 +138,9 @@ class SparseState:
 
     def to(self, device: torch.device | str) -> "SparseState":
         """The same record on ``device``."""
-        tensors = ("history", "reference", "particle_type", "batch", "bounds")
-        return replace(self, **{name: getattr(self, name).to(device) for name in tensors})
+        tensors = ("history", "reference", "particle_type", "batch", "bounds", "weight", "memory")
+        values = {name: getattr(self, name) for name in tensors}
+        return replace(self, **{k: v.to(device) for k, v in values.items() if v is not None})
 
 
 def concatenate_states(states: list[SparseState]) -> SparseState:
@@ -161,4 +168,12 @@ def concatenate_states(states: list[SparseState]) -> SparseState:
             [state.batch + offset for state, offset in zip(states, offsets, strict=False)]
         ),
         batch_size=offsets[-1],
+        weight=_joined([state.weight for state in states]),
+        memory=_joined([state.memory for state in states]),
     )
+
+
+def _joined(parts: list[Tensor | None]) -> Tensor | None:
+    """Rows below each other, or none where a scene has none."""
+    known = [part for part in parts if part is not None]
+    return torch.cat(known) if len(known) == len(parts) else None

@@ -20,7 +20,7 @@ from giorom.evaluation.rollout import roll_out
 from giorom.evaluation.trivial import constant_velocity, free_fall, hold_still
 from giorom.integrate import finite_differences
 from giorom.mpm import MaterialSwitch, draw_scene, simulate
-from giorom.pipeline import start_from_trajectory
+from giorom.pipeline import connect_within, integrated, start_from_trajectory
 from giorom.state import KINEMATIC, Trajectory
 
 # Wanted by other programs: the keys of the command line's results.
@@ -59,6 +59,8 @@ DEMO = (
 ROUNDING = 1e-12
 """Squared float32 rounding of positions of order one [m^2]."""
 
+CONNECT = connect_within(1e-6, configuration="current")
+
 
 class Oracle(nn.Module):
     """The acceleration that leads to the next true frame."""
@@ -76,6 +78,10 @@ class Oracle(nn.Module):
             state.history[:, -2],
             frame_dt=state.frame_dt,
         )
+
+    def step(self, state, edges, prescribed=None):
+        """The next true frame, by way of the acceleration."""
+        return integrated(self)(state, edges, prescribed)
 
 
 def frame_of(truth, position):
@@ -241,7 +247,7 @@ def test_divergence_is_noticed_and_the_last_sound_frame_repeated(value):
         calls.append(None)
         return torch.full_like(state.position, value if len(calls) == 3 else 0.0)
 
-    found = roll_out(state, 5, connect=lambda state: None, acceleration=acceleration)
+    found = roll_out(state, 5, connect=CONNECT, step=integrated(acceleration))
     assert found.diverged_at == 3
     assert len(found.position) == 5
     assert torch.equal(found.position[2:], found.position[1:2].expand(3, -1, -1))

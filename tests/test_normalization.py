@@ -117,7 +117,7 @@ def test_a_rollout_in_si_does_not_depend_on_the_scales():
             history=3,
         )
         connect = connect_within(1.0, configuration="current")
-        *_, last = rollout(state, 50, connect=connect, acceleration=dynamics)
+        *_, last = rollout(state, 50, connect=connect, step=dynamics.step)
         results.append(last.position)
     decay = 1.0 - 3.0 * frame_dt
     expected = start + velocity * frame_dt * sum(decay**k for k in range(1, 51))

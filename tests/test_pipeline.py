@@ -12,6 +12,7 @@ from giorom.neural_field import FieldDecoder, NeuralField, NeuralFieldConfig
 from giorom.pipeline import (
     connect_within,
     full_order_rollout,
+    integrated,
     rollout,
     start_from_trajectory,
     start_from_velocity,
@@ -71,7 +72,7 @@ def test_oracles_reproduce_free_fall_of_every_point(dimension, configuration):
         start(body[samples], velocity.expand(20, -1)),
         100,
         connect=connect_within(0.4, configuration=configuration),
-        acceleration=falling,
+        step=integrated(falling),
         decode=FieldDecoder(translating_field(dimension), body[samples], body),
     )
     gravity = body.new_tensor(GRAVITY[:dimension])
@@ -102,7 +103,7 @@ def test_the_graph_of_the_reference_is_built_once_per_body(monkeypatch):
     connect = connect_within(0.4, configuration="reference")
     bodies = [start(cloud(count, 2), torch.zeros(count, 2).double()) for count in (20, 30)]
     for body in (bodies[0], bodies[1], bodies[0]):
-        list(rollout(body, 5, connect=connect, acceleration=falling))
+        list(rollout(body, 5, connect=connect, step=integrated(falling)))
     assert [len(position) for position in built] == [20, 30, 20]
     assert torch.equal(built[1], bodies[1].reference)
 
@@ -112,7 +113,7 @@ def test_the_current_graph_follows_the_motion(monkeypatch):
     built = count_builds(monkeypatch)
     body = start(cloud(20, 2), torch.zeros(20, 2).double())
     connect = connect_within(0.4, configuration="current")
-    states = list(rollout(body, 5, connect=connect, acceleration=falling))
+    states = list(rollout(body, 5, connect=connect, step=integrated(falling)))
     before = [body, *states[:-1]]
     assert all(torch.equal(a, b.position) for a, b in zip(built, before, strict=True))
 
@@ -125,7 +126,7 @@ def test_kinematic_samples_stay_and_the_given_state_is_left_alone():
     body = replace(body, particle_type=kinds)
     kept = body.history.clone()
     connect = connect_within(0.4, configuration="current")
-    *_, last = rollout(body, 20, connect=connect, acceleration=falling)
+    *_, last = rollout(body, 20, connect=connect, step=integrated(falling))
     assert torch.equal(last.position[:5], body.position[:5])
     assert (last.position[5:, 1] < body.position[5:, 1]).all()
     assert torch.equal(body.history, kept)
@@ -143,7 +144,7 @@ def test_a_divergence_is_reported_with_its_frame():
     body = start(cloud(4, 2), torch.zeros(4, 2).double())
     connect = connect_within(0.4, configuration="current")
     with pytest.raises(FloatingPointError, match="no longer finite at frame 3 of 10"):
-        seen.extend(rollout(body, 10, connect=connect, acceleration=explode))
+        seen.extend(rollout(body, 10, connect=connect, step=integrated(explode)))
     assert len(calls) == 3
 
 
@@ -153,7 +154,7 @@ def test_a_rollout_records_no_gradients():
     body = start(cloud(4, 2), torch.zeros(4, 2).double())
     connect = connect_within(0.4, configuration="current")
     for state in rollout(
-        body, 3, connect=connect, acceleration=lambda s, e: weight * torch.ones_like(s.position)
+        body, 3, connect=connect, step=integrated(lambda s, e: weight * torch.ones_like(s.position))
     ):
         assert not state.history.requires_grad
         assert torch.is_grad_enabled()
@@ -196,7 +197,7 @@ def test_a_body_in_uniform_motion_goes_on_as_its_trajectory_does():
     motion, samples = moving(8), torch.arange(10)
     state = start_from_trajectory(motion, samples, history=3, frame=4)
     connect = connect_within(0.4, configuration="current")
-    found = [s.position for s in rollout(state, 3, connect=connect, acceleration=still)]
+    found = [s.position for s in rollout(state, 3, connect=connect, step=integrated(still))]
     torch.testing.assert_close(torch.stack(found), motion.position[5:], rtol=0, atol=1e-13)
 
 

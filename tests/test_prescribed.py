@@ -17,7 +17,7 @@ from giorom.evaluation.trivial import constant_velocity, free_fall, hold_still
 from giorom.experiment import _validation, load_training_data
 from giorom.features import FeatureConfig
 from giorom.normalization import Normalization
-from giorom.pipeline import Dynamics, connect_within, rollout, start_from_trajectory
+from giorom.pipeline import Dynamics, connect_within, integrated, rollout, start_from_trajectory
 from giorom.state import KINEMATIC, SAND, SparseState, Trajectory
 from giorom.training.loss import unrolled_loss
 from giorom.training.noise import add_random_walk
@@ -62,7 +62,7 @@ def test_a_rollout_follows_shaking_walls_and_the_body_follows_them():
     """The oracle reproduces the data only if the walls move as prescribed."""
     motion = shaken()
     truth = motion.position[2:]
-    options = {"connect": CONNECT, "acceleration": spring}
+    options = {"connect": CONNECT, "step": integrated(spring)}
     found = [s.position for s in rollout(start(motion), 7, **options, prescribed=truth)]
     torch.testing.assert_close(torch.stack(found), truth, rtol=0, atol=1e-12)
     kept = roll_out(start(motion), 7, **options, prescribed=truth)
@@ -80,7 +80,7 @@ def test_a_rollout_longer_than_the_prescribed_motion_is_refused():
                 start(motion),
                 8,
                 connect=CONNECT,
-                acceleration=spring,
+                step=integrated(spring),
                 prescribed=motion.position[2:],
             )
         )

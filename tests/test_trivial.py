@@ -14,7 +14,7 @@ from giorom.evaluation.trivial import (
     hold_still,
 )
 from giorom.graph import Edges
-from giorom.pipeline import connect_within, rollout
+from giorom.pipeline import connect_within, integrated, rollout
 from giorom.state import KINEMATIC, SAND, SparseState, Trajectory
 
 GRAVITY = torch.tensor([0.0, -9.81], dtype=torch.float64)
@@ -35,14 +35,14 @@ def state(bounds: float = 100.0) -> SparseState:
     )
 
 
-def integrated(given: SparseState, acceleration: Tensor, frames: int) -> Tensor:
+def moved_by(given: SparseState, acceleration: Tensor, frames: int) -> Tensor:
     """The same motion by the pipeline, step by step."""
 
     def constant(later: SparseState, edges: Edges) -> Tensor:
         return acceleration.expand_as(later.position)
 
     connect = connect_within(1e-6, configuration="current")
-    steps = rollout(given, frames, connect=connect, acceleration=constant)
+    steps = rollout(given, frames, connect=connect, step=integrated(constant))
     return torch.stack([later.position for later in steps])
 
 
@@ -61,7 +61,7 @@ def test_constant_velocity_is_straight_and_even():
     expected = given.position + torch.arange(1.0, 31.0)[:, None, None] * step
     torch.testing.assert_close(found, expected, rtol=0, atol=1e-12)
     torch.testing.assert_close(
-        found, integrated(given, torch.zeros(2).double(), 30), rtol=0, atol=1e-11
+        found, moved_by(given, torch.zeros(2).double(), 30), rtol=0, atol=1e-11
     )
 
 
@@ -69,7 +69,7 @@ def test_free_fall_is_what_the_integrator_does_under_gravity():
     """x_k = x_0 + v t + g t (t + dt) / 2."""
     given = state()
     found = free_fall(given, 30, gravity=GRAVITY)
-    torch.testing.assert_close(found, integrated(given, GRAVITY, 30), rtol=0, atol=1e-11)
+    torch.testing.assert_close(found, moved_by(given, GRAVITY, 30), rtol=0, atol=1e-11)
 
 
 def test_motion_stops_at_the_walls():

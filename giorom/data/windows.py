@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from giorom.graph import Edges, concatenate_edges, connect_points
-from giorom.sampling import SamplingConfig, sample
+from giorom.sampling import SamplingConfig, represented_particles, sample
 from giorom.state import SparseState, Trajectory, concatenate_states
 
 
@@ -29,6 +29,9 @@ class SampledTrajectory:
 
     edges: Edges | None
     """Graph of the undeformed body, where the graph is fixed."""
+
+    weight: Float[Tensor, " q"] | None = None
+    """Full-order particles each sample stands for; ``None``: unknown."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,14 +80,18 @@ def sample_trajectories(
     for trajectory in trajectories:
         for subset in range(subsets):
             seed = None if subset == 0 else subset
-            motion = trajectory.subset(sample(trajectory.position[0], config, seed=seed))
+            samples = sample(trajectory.position[0], config, seed=seed)
+            weight = represented_particles(trajectory.position[0], samples)
+            motion = trajectory.subset(samples)
             reference = motion.position[0].clone()
             edges = None
             if reference_radius is not None:
                 batch = torch.zeros(len(reference), dtype=torch.long)
                 edges = connect_points(reference, batch, radius=reference_radius, kind=kind)
             motion = replace(motion, position=with_straight_past(motion.position, past))
-            result.append(SampledTrajectory(motion=motion, reference=reference, edges=edges))
+            result.append(
+                SampledTrajectory(motion=motion, reference=reference, edges=edges, weight=weight)
+            )
     return result
 
 
@@ -228,6 +235,7 @@ def window_at(sampled: SampledTrajectory, start: int, *, history: int, future: i
         batch_size=1,
         bounds=motion.bounds,
         frame_dt=motion.frame_dt,
+        weight=sampled.weight,
     )
     return WindowBatch(state=state, target=positions[:, history:], edges=sampled.edges)
 

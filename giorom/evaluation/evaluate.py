@@ -15,7 +15,6 @@ from torch import Tensor
 from giorom.evaluation.comparison import Comparison, surroundings_of, trivial_predictions
 from giorom.evaluation.metrics import squared_error_per_frame
 from giorom.evaluation.rollout import roll_out
-from giorom.integrate import advance
 from giorom.pipeline import Decode, start_from_trajectory
 from giorom.simulator import Simulator
 from giorom.state import Trajectory
@@ -60,7 +59,7 @@ def evaluate_trajectory(
         state,
         frames,
         connect=simulator.connect,
-        acceleration=simulator.dynamics,
+        step=simulator.dynamics.step,
         prescribed=truth[:, samples],
     )
     decode = simulator.decoder(trajectory.position[0], trajectory.kinematic, samples=samples)
@@ -99,10 +98,10 @@ def one_step_errors(
     sparse_errors, full_errors = [], []
     for frame in range(history - 1, history - 1 + frames, ONE_STEP_STRIDE):
         state = start_from_trajectory(trajectory, samples, history=history, frame=frame)
-        with torch.no_grad():
-            acceleration = simulator.dynamics(state, simulator.connect(state))
         truth = trajectory.position[frame + 1 : frame + 2]
-        later = advance(state, acceleration, prescribed=truth[0, samples]).position[None]
+        with torch.no_grad():
+            edges = simulator.connect(state)
+            later = simulator.dynamics.step(state, edges, truth[0, samples]).position[None]
         sparse_errors.append(squared_error_per_frame(later, truth[:, samples]))
         full = _decoded(decode, later, trajectory.kinematic, truth)
         full_errors.append(squared_error_per_frame(full, truth))

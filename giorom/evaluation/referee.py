@@ -117,14 +117,14 @@ def _timed_rollout(
     )
     decode = watch.timed("upscale", decoder)
     connect = watch.timed("graph", simulator.connect)
-    network = watch.timed("network", simulator.dynamics)
+    network = watch.timed("network", simulator.dynamics.step)
     state = simulator.start(*arguments, samples=samples)
     with torch.no_grad():
-        simulator.dynamics(state, simulator.connect(state))  # warm-up
+        simulator.dynamics.step(state, simulator.connect(state))  # warm-up
     synchronize()
     setup, start = sum(watch.seconds.values()), time.perf_counter()
     sparse, full = [], []
-    for later in rollout(state, frames, connect=connect, acceleration=network):
+    for later in rollout(state, frames, connect=connect, step=network):
         sparse.append(later.position)
         full.append(decode(later.position))
     synchronize()

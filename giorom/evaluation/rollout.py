@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from giorom.pipeline import Acceleration, Connect, rollout
+from giorom.pipeline import Connect, Step, rollout
 from giorom.state import SparseState
 
 
@@ -26,7 +26,7 @@ def roll_out(
     frames: int,
     *,
     connect: Connect,
-    acceleration: Acceleration,
+    step: Step,
     prescribed: Float[Tensor, "t q d"] | None = None,
 ) -> SparseRollout:
     """Positions of the samples for ``frames`` frames; never raises on divergence.
@@ -39,9 +39,7 @@ def roll_out(
     low, high = state.bounds[:, 0] - extent, state.bounds[:, 1] + extent
     positions = []
     try:
-        for later in rollout(
-            state, frames, connect=connect, acceleration=acceleration, prescribed=prescribed
-        ):
+        for later in rollout(state, frames, connect=connect, step=step, prescribed=prescribed):
             if bool(((later.position < low) | (later.position > high)).any()):
                 break
             positions.append(later.position)
@@ -63,4 +61,6 @@ def single_scene(state: SparseState, scene: int) -> SparseState:
         particle_type=state.particle_type[member],
         batch=torch.zeros(int(member.sum()), dtype=torch.long, device=state.batch.device),
         batch_size=1,
+        weight=None if state.weight is None else state.weight[member],
+        memory=None if state.memory is None else state.memory[member],
     )
