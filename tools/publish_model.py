@@ -1,7 +1,7 @@
 """Put a trained simulator into the package, with its card and its line in the index.
 
     python tools/publish_model.py NAME RUN --train train.json --evaluate metrics.json \
-        --command "giorom simulate ..." --command "giorom train ..."
+        --data data --command "giorom simulate ..." --command "giorom train ..."
 
 The numbers of the card are those of the JSON files that ``giorom train --json`` and
 ``giorom evaluate --json`` wrote; nothing is typed by hand.
@@ -16,6 +16,8 @@ from pathlib import Path
 from typing import Any
 
 from giorom.data.atomic import replacing_folder
+from giorom.data.metadata import read_metadata
+from giorom.evaluation.catalogue import update_catalogue
 from giorom.simulator import PRETRAINED, Simulator, pretrained_directory
 
 SIZE_LIMIT = 5_000_000
@@ -30,9 +32,14 @@ SCORES = (
     ("constant velocity", "constant_velocity_mse"),
     ("free fall", "free_fall_mse"),
     ("holding still", "static_mse"),
+    ("oracle: true centroid, frozen shape", "frozen_shape_mse"),
     ("relative displacement error", "relative_displacement_error"),
     ("predicted over true amplitude", "amplitude_ratio"),
     ("displacement correlation", "displacement_correlation"),
+    ("predicted over true period", "swing_period_ratio"),
+    ("Chamfer distance", "chamfer"),
+    ("density difference", "density_difference"),
+    ("squared sliced Wasserstein distance", "sliced_wasserstein"),
 )
 
 
@@ -55,8 +62,9 @@ def main() -> int:
         card = _card(arguments.name, simulator, trained, scores, arguments.command)
         (directory / "README.md").write_text(card)
         shutil.copy(arguments.evaluate, directory / "metrics.json")
-        (directory / "training.json").write_text(json.dumps(trained | _machine(), indent=1) + "\n")
-    _update_index(arguments.name, size, scores, arguments.command)
+        record = trained | _machine() | {"data_seed": read_metadata(arguments.data).get("seed")}
+        (directory / "training.json").write_text(json.dumps(record, indent=1) + "\n")
+    update_catalogue(PRETRAINED, arguments.name, arguments.command)
     return 0
 
 
@@ -66,6 +74,7 @@ def _parse() -> argparse.Namespace:
     parser.add_argument("run", type=Path)
     parser.add_argument("--train", type=Path, required=True)
     parser.add_argument("--evaluate", type=Path, required=True)
+    parser.add_argument("--data", type=Path, required=True, help="the training data")
     parser.add_argument("--command", action="append", default=[])
     return parser.parse_args()
 
@@ -121,30 +130,6 @@ def _card(
 def _machine() -> dict[str, str]:
     """What the numbers were made on."""
     return {"python": platform.python_version(), "processor": platform.machine()}
-
-
-def _update_index(name: str, size: int, scores: dict[str, Any], commands: list[str]) -> None:
-    """Replace the model's entry in ``index.json``."""
-    path = PRETRAINED / "index.json"
-    index = json.loads(path.read_text()) if path.is_file() else {"models": []}
-    full = scores["full"]
-    entry = {
-        "name": name,
-        "system": scores["system"],
-        "points": scores["points"],
-        "sparse_points": scores["sparse_points"],
-        "bytes": size,
-        "one_step_mse": scores["sparse"]["one_step_mse"],
-        "rollout_mse": scores["sparse"]["rollout_mse"],
-        "full_rollout_mse": full["rollout_mse"],
-        "constant_velocity_mse": full["constant_velocity_mse"],
-        "static_mse": full["static_mse"],
-        "paper_rollout_mse": None,
-        "commands": commands,
-    }
-    others = [model for model in index["models"] if model["name"] != name]
-    index["models"] = sorted([*others, entry], key=lambda model: model["name"])
-    path.write_text(json.dumps(index, indent=1) + "\n")
 
 
 if __name__ == "__main__":
