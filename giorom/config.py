@@ -27,7 +27,7 @@ PRESETS = Path(__file__).parent / "presets"
 MOST_BYTES = 1 << 16
 """Longest YAML file; a preset takes about 2 KB, and checking a record takes long."""
 
-DERIVED = ("dimension", "node_width", "edge_width", "gate_width", "latent_bounds")
+DERIVED = ("dimension", "node_width", "edge_width", "gate_width")
 """Fields of ``TimeStepperConfig`` that follow from features and data."""
 
 
@@ -39,7 +39,7 @@ class StepperChoice:
     """Published model, or the recommended one."""
 
     overrides: dict[str, Any] = default(default_factory=dict)
-    """Fields of ``TimeStepperConfig`` to change."""
+    """Fields of ``TimeStepperConfig`` to change; ``latent_bounds`` is the domain of the grid."""
 
     def __post_init__(self) -> None:
         """Reject names the time-stepper does not have."""
@@ -59,7 +59,8 @@ class StepperChoice:
         Args:
             dimension: Space dimension.
             features: Which features it sees.
-            latent_bounds: Padded bounds of the training data [m].
+            latent_bounds: Padded bounds of the training data [m], over which the grid of the
+                recommended network extends where ``overrides`` says nothing else.
         """
         values = self.overrides | {
             "node_width": features.node_width(dimension),
@@ -68,7 +69,7 @@ class StepperChoice:
         }
         if self.preset == "paper":
             return TimeStepperConfig.paper(dimension, **values)
-        return TimeStepperConfig.default(dimension, latent_bounds=latent_bounds, **values)
+        return TimeStepperConfig.default(dimension, **({"latent_bounds": latent_bounds} | values))
 
 
 @dataclass(frozen=True, kw_only=True)

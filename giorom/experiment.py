@@ -26,7 +26,6 @@ from giorom.data.windows import (
 from giorom.evaluation.metrics import squared_error_per_frame
 from giorom.evaluation.rollout import roll_out
 from giorom.evaluation.trivial import hold_still
-from giorom.features import compute_features
 from giorom.graph import RadiusChoice, choose_radius
 from giorom.normalization import Normalization
 from giorom.pipeline import Connect
@@ -34,7 +33,9 @@ from giorom.sampling import sample
 from giorom.simulator import Simulator, SimulatorConfig
 from giorom.state import SparseState, Trajectory
 from giorom.training.checkpoint import CHECKPOINT_PREFIX
+from giorom.training.coverage import check_coverage
 from giorom.training.field_loop import thin, train_field
+from giorom.training.goals import seconds_of_stage, time_to
 from giorom.training.loop import (
     Budget,
     StepperTraining,
@@ -43,9 +44,6 @@ from giorom.training.loop import (
 )
 from giorom.training.skip import fit_skip
 from giorom.version import __version__
-
-COVERAGE_WINDOWS = 64
-"""Windows on which the coverage of the latent grid is measured."""
 
 PRELUDE = 0.1
 """Largest share of the budget of minutes that the field, and again the skip, may use."""
@@ -159,6 +157,8 @@ def fit_normalization(experiment: Experiment, metadata: dict[str, Any]) -> Norma
     """Scales of the training split and the training noise, in SI units."""
     frame_dt = float(metadata["dt"])
     statistics = Statistics.from_metadata(metadata).in_si(frame_dt=frame_dt)
+    dimension = len(statistics.velocity_mean)
+    gravity = tuple(-experiment.scene.gravity * (axis == 1) for axis in range(dimension))
     return Normalization.fit(
         velocity_mean=tuple(statistics.velocity_mean.tolist()),
         velocity_std=tuple(statistics.velocity_std.tolist()),
@@ -167,6 +167,7 @@ def fit_normalization(experiment: Experiment, metadata: dict[str, Any]) -> Norma
         noise_std=experiment.training.noise_std,
         frame_dt=frame_dt,
         isotropic=experiment.training.isotropic,
+        gravity=gravity if experiment.training.explicit_gravity else None,
     )
 
 
@@ -226,20 +227,17 @@ def train(
     data = load_training_data(experiment, data_folder)
     report("note", {"text": str(data.choice)})
     simulator = build_simulator(experiment, data)
-    report("note", {"text": describe_coverage(simulator, data)})
+    network = simulator.dynamics.time_stepper
+    coverage = check_coverage(network, data.windows, experiment.training)
+    report("note", {"text": f"the latent grid reaches {100.0 * coverage:.1f} % of the samples"})
     validate = _validation(experiment, data, connect=simulator.connect, device=device)
     _prepare_folder(out, _identity(experiment, simulator.config, seed=seed), resume=resume)
+    if not resume:
+        append_log(out / "log.jsonl", {"stage": "coverage", "share": coverage})
     _train_field(simulator, experiment, data, out=out, budget=budget, seed=seed, report=report)
     interrupted = resume and any((out / "checkpoints").glob(f"{CHECKPOINT_PREFIX}*"))
-    if simulator.dynamics.time_stepper.input_skip is not None and not interrupted:
-        fit_skip(
-            simulator.dynamics,
-            data.windows,
-            experiment.training,
-            seed=seed,
-            minutes=math.inf if budget.minutes is None else PRELUDE * budget.minutes,
-            report=lambda numbers: report("skip", numbers),
-        )
+    if network.input_skip is not None and not interrupted:
+        _fit_skip(simulator, experiment, data, out=out, budget=budget, seed=seed, report=report)
     simulator.to(device)
     training = StepperTraining(
         simulator.dynamics,
@@ -264,13 +262,19 @@ def train(
             f"every validation rollout diverged, so {out} holds no simulator. Continue it with "
             f"--resume and a larger budget, or lower TrainingConfig.learning_rate."
         )
-    stepper = simulator.dynamics.time_stepper
     return {
         "steps": run.step,
         "seconds": time.perf_counter() - start,
         "steps_per_second": run.step / max(run.seconds, 1e-9),
         "best_rollout_mse": run.best,
-        "parameters": sum(p.numel() for p in stepper.parameters()),
+        "time_to": time_to(
+            run.history or [],
+            experiment.training.goals,
+            unit=experiment.training.goal_unit,
+            earlier=seconds_of_stage(out / "log.jsonl", "skip"),
+        ),
+        "latent_coverage": coverage,
+        "parameters": sum(p.numel() for p in network.parameters()),
         "field_parameters": sum(p.numel() for p in simulator.field.parameters()),
         "radius": data.choice.radius,
         "seed": seed,
@@ -281,23 +285,28 @@ def train(
     }
 
 
-def describe_coverage(simulator: Simulator, data: TrainingData) -> str:
-    """Which share of the samples of some training windows the latent grid reaches, in words."""
-    dynamics, windows = simulator.dynamics, data.windows
-    shares = []
-    for number in range(0, len(windows), max(1, len(windows) // COVERAGE_WINDOWS)):
-        window = windows[number]
-        edges = window.edges if window.edges is not None else simulator.connect(window.state)
-        features = compute_features(
-            window.state,
-            edges,
-            dynamics.features,
-            normalization=dynamics.normalization,
-            radius=dynamics.radius,
-        )
-        shares.append(float(dynamics.time_stepper.coverage(features)))
-    share = sum(shares) / len(shares)
-    return f"the latent grid reaches {100.0 * share:.1f} % of the samples"
+def _fit_skip(
+    simulator: Simulator,
+    experiment: Experiment,
+    data: TrainingData,
+    *,
+    out: Path,
+    budget: Budget,
+    seed: int,
+    report: Report,
+) -> None:
+    """Fit the pointwise skip and log how long it took."""
+    begin = time.perf_counter()
+    explained = fit_skip(
+        simulator.dynamics,
+        data.windows,
+        experiment.training,
+        seed=seed,
+        minutes=math.inf if budget.minutes is None else PRELUDE * budget.minutes,
+        report=lambda numbers: report("skip", numbers),
+    )
+    entry = {"seconds": time.perf_counter() - begin, "explained": explained}
+    append_log(out / "log.jsonl", {"stage": "skip", **entry})
 
 
 def _train_field(

@@ -101,7 +101,8 @@ class LatentBranch(nn.Module):
 
     def coverage(self, position: Float[Tensor, "q d"]) -> Float[Tensor, ""]:
         """Share of the particles that have a grid node within reach."""
-        return self.grid.coverage(self._place(position))
+        with torch.no_grad():
+            return self.grid.coverage(self._place(position))
 
     def _place(self, position: Tensor) -> Tensor:
         """Where particles are in the space of the grid: [m], or on the plane."""

@@ -49,6 +49,7 @@ class Normalization:
         noise_std: float,
         frame_dt: float,
         isotropic: bool,
+        gravity: tuple[float, ...] | None = None,
     ) -> "Normalization":
         """Combine the statistics of the training data with the training noise.
 
@@ -60,13 +61,20 @@ class Normalization:
             noise_std: Spread of the noise on the last velocity, as displacement per frame [m].
             frame_dt: Time between frames [s].
             isotropic: One scale for all axes and no offset, which keeps rotations rotations.
+            gravity: Take this for the offset of the acceleration, whose scale is then the spread
+                about it [m/s^2].
         """
+        if gravity is not None:
+            pairs = zip(acceleration_mean, gravity, acceleration_std, strict=True)
+            acceleration_std = tuple(math.hypot(mean - g, s) for mean, g, s in pairs)
         if isotropic:
             axes = len(velocity_std)
             velocity_std = (math.sqrt(sum(s * s for s in velocity_std) / axes),) * axes
             acceleration_std = (math.sqrt(sum(s * s for s in acceleration_std) / axes),) * axes
             velocity_mean = acceleration_mean = (0.0,) * axes
         velocity_noise, acceleration_noise = noise_std / frame_dt, noise_std / frame_dt**2
+        if gravity is not None:
+            acceleration_mean = gravity
         return cls(
             velocity_mean=velocity_mean,
             velocity_std=tuple(math.hypot(s, velocity_noise) for s in velocity_std),

@@ -96,15 +96,15 @@ class TimeStepper(nn.Module):
         received = self.latent(sent, features)
         return node + received if self.config.latent_skip else received
 
-    def coverage(self, features: Features) -> Float[Tensor, ""]:
+    def coverage(self, position: Float[Tensor, "q d"]) -> Float[Tensor, ""]:
         """Share of the particles the latent grid reaches; one without a grid.
 
         Args:
-            features: Positions of a batch.
+            position: Positions of a batch [m].
 
         Returns:
             A share between 0 and 1.
         """
         if self.latent is None:
-            return torch.ones((), device=features.position.device)
-        return self.latent.coverage(features.position)
+            return torch.ones((), device=position.device)
+        return self.latent.coverage(position)

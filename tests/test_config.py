@@ -96,7 +96,7 @@ def test_value_of_the_wrong_type_or_size_is_refused(tiny_values, tmp_path, chang
     assert next(iter(change)) in refused(merged(tiny_values, change), tmp_path).lower()
 
 
-@pytest.mark.parametrize("name", ["dimension", "node_width", "edge_width", "latent_bounds"])
+@pytest.mark.parametrize("name", ["dimension", "node_width", "edge_width", "gate_width"])
 def test_derived_fields_of_the_network_cannot_be_set(tiny_values, tmp_path, name):
     """They follow from features and data, so a second value could only contradict."""
     change = {"time_stepper": {"overrides": {name: 3}}}

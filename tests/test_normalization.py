@@ -152,3 +152,26 @@ def test_dimensionless_velocities_reach_the_network():
     acceleration = dynamics(state, radius_edges(state.position, state.batch, 1.0))
     torch.testing.assert_close(seen[0], scales.velocity(velocity), rtol=0, atol=1e-13)
     assert torch.equal(acceleration, acceleration.new_tensor([0.0, -9.81]).expand(4, 2))
+
+
+@pytest.mark.parametrize("isotropic", [False, True])
+def test_with_explicit_gravity_zero_is_free_fall_and_the_scale_is_the_spread_about_it(isotropic):
+    """Reference: the root mean square of a - g over data with those statistics."""
+    gravity = torch.tensor([0.0, -9.8], dtype=torch.float64)
+    generator = torch.Generator().manual_seed(0)
+    data = torch.randn(1000, 2, generator=generator, dtype=torch.float64) * 3.0 + gravity / 2
+    scales = Normalization.fit(
+        velocity_mean=(0.0, 0.0),
+        velocity_std=(1.0, 1.0),
+        acceleration_mean=tuple(data.mean(dim=0).tolist()),
+        acceleration_std=tuple(data.std(dim=0, correction=0).tolist()),
+        noise_std=0.0,
+        frame_dt=0.1,
+        isotropic=isotropic,
+        gravity=tuple(gravity.tolist()),
+    )
+    zero = torch.zeros(2, dtype=torch.float64)
+    assert torch.equal(scales.physical_acceleration(zero), gravity)
+    square = (data - gravity).square().mean(dim=0)
+    expected = square.mean().expand(2).sqrt() if isotropic else square.sqrt()
+    assert scales.acceleration_std == pytest.approx(expected.tolist(), rel=1e-9)

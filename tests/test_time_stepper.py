@@ -159,8 +159,8 @@ def test_the_grid_adds_nothing_to_particles_out_of_its_reach():
     node = torch.randn(80, 16, dtype=torch.float64)
     added = model.latent(node, far)
     torch.testing.assert_close(added, model.latent.projection.layers[0].bias.expand_as(added))
-    assert float(model.coverage(far)) == 0.0
-    assert float(model.coverage(scene)) == 1.0
+    assert float(model.coverage(far.position)) == 0.0
+    assert float(model.coverage(scene.position)) == 1.0
 
 
 FOURIER = {"occupied_tokens": False, "fourier_modes": 3, "fourier_width": 4, "fourier_hidden": 4}
@@ -217,7 +217,7 @@ def test_particles_that_fall_on_each_other_in_the_plane_read_the_same_from_it():
     before = model.latent(node, scene)
     torch.testing.assert_close(model.latent(node, moved), before, rtol=0, atol=1e-10)
     assert (model.latent(node, other) - before).abs().max() > 1e-6
-    assert float(model.coverage(scene)) == 1.0
+    assert float(model.coverage(scene.position)) == 1.0
 
 
 def test_a_fourier_operator_on_the_grid_reaches_across_the_body():
@@ -248,7 +248,7 @@ def test_without_message_passing_no_edge_is_read():
 
 def test_without_grid_coverage_is_complete():
     """Nothing is missed where nothing is asked."""
-    assert float(make(latent=False).coverage(features())) == 1.0
+    assert float(make(latent=False).coverage(features().position)) == 1.0
 
 
 def test_extra_edge_channels_are_read():

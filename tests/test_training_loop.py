@@ -8,8 +8,10 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
+from giorom.experiment import build_simulator, load_training_data
 from giorom.training import loop
 from giorom.training.checkpoint import CheckpointError
+from giorom.training.loop import StepperTraining
 from giorom.training.training_config import Budget, TrainingConfig, learning_rate
 
 
@@ -37,6 +39,74 @@ def test_learning_rate_is_the_gns_rule_after_the_warm_up():
         assert learning_rate(config, step=10, progress=progress) == pytest.approx(expected)
     warm = [learning_rate(config, step=step, progress=0.0) / 1e-3 for step in range(11)]
     assert warm == pytest.approx([*((step + 1) / 10 for step in range(10)), 1.0])
+
+
+def test_learning_rate_of_the_paper_falls_by_a_constant_factor_per_step():
+    """Gamma = 0.1^(1 / 5e6) at every step, whatever the budget; no warm-up."""
+    config = TrainingConfig(
+        learning_rate=1e-4, final_learning_rate=0.0, decay_steps=5e6, warmup=0, decades=7.0
+    )
+    gamma = 0.1 ** (1.0 / 5e6)
+    for step in (0, 1, 1000, 5_000_000):
+        expected = 1e-4 * gamma**step
+        found = [learning_rate(config, step=step, progress=share) for share in (0.0, 1.0)]
+        assert found == pytest.approx([expected] * 2, rel=1e-9)
+
+
+@pytest.fixture
+def train_briefly(tiny, data_folder, tmp_path):
+    """Two steps of the tiny experiment with other training values; returns the training."""
+    scene = replace(tiny.scene, gravity=9.8)
+    plain = replace(tiny.training, unroll=[[0.0, 2.0]], isotropic=False, warmup=0)
+
+    def run(**changes):
+        experiment = replace(tiny, scene=scene, training=replace(plain, **changes))
+        data = load_training_data(experiment, data_folder)
+        torch.manual_seed(0)
+        simulator = build_simulator(experiment, data)
+        training = StepperTraining(
+            simulator.dynamics,
+            experiment.training,
+            windows=data.windows,
+            connect=simulator.connect,
+            seed=0,
+            folder=tmp_path,
+        )
+        for step in range(2):
+            training.run.step = step
+            training.train_step([0, 1], progress=0.0)
+        return training
+
+    return run
+
+
+def test_without_average_the_newest_weights_are_validated_and_kept(train_briefly):
+    """average_decay 0: the averaged model is the model; with an average it lags behind."""
+    for decay, equal in ((0.0, True), (0.5, False)):
+        training = train_briefly(average_decay=decay)
+        pairs = zip(training.model.parameters(), training.average.module.parameters(), strict=True)
+        assert all(torch.equal(new, averaged) for new, averaged in pairs) == equal
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"pushforward": True},
+        {"huber": 0.1},
+        {"gradient_clip": None},
+        {"explicit_gravity": True},
+        {"position_weight": 1e9},
+        {"noise_std": 0.0},
+    ],
+)
+def test_a_switch_of_the_recipe_changes_what_is_learnt(train_briefly, change):
+    """The same seed and windows: other weights than without it, and the same without it again."""
+    name = "time_stepper.node_out.layers.0.weight"
+    plain, again, other = (
+        train_briefly(**values).model.state_dict()[name] for values in ({}, {}, change)
+    )
+    assert torch.equal(plain, again)
+    assert not torch.equal(plain, other)
 
 
 def test_budget_is_used_by_whichever_runs_out_first():
@@ -79,6 +149,9 @@ def test_unroll_stages_begin_at_their_share_of_the_budget():
         ({"noise_std": -1.0}, "noise_std"),
         ({"learning_rate": math.nan}, "learning_rate"),
         ({"average_decay": 1.0}, "average_decay"),
+        ({"gradient_clip": 0.0}, "gradient_clip"),
+        ({"huber": 0.0}, "huber"),
+        ({"decay_steps": -1.0}, "decay_steps"),
         ({"unroll": [[0.5]]}, "unroll"),
         ({"unroll": [[1.0, 2.0]]}, "unroll"),
         ({"unroll": [[0.0, 0.0]]}, "unroll"),
@@ -90,7 +163,7 @@ def test_useless_training_values_are_refused_by_name(values, name):
         TrainingConfig(**values)
 
 
-@pytest.mark.parametrize("optimizer", ["adamax", "adamw"])
+@pytest.mark.parametrize("optimizer", ["adamax", "adamw", "nadam"])
 def test_resumed_run_equals_one_never_interrupted(
     tiny, data_folder, run_training, tmp_path, optimizer
 ):
@@ -115,6 +188,7 @@ def test_resumed_run_equals_one_never_interrupted(
         for key in ours:
             assert torch.equal(ours[key], theirs[key]), key
     assert log_of(parts) == log_of(whole)
+    assert [entry["stage"] for entry in log_of(parts)][:2] == ["coverage", "field"]
     assert second["best_rollout_mse"] == first["best_rollout_mse"]
     assert len(second["history"]) == len(first["history"]) == 3
 

@@ -11,7 +11,7 @@ from giorom.features import FeatureConfig, Features
 from giorom.normalization import Normalization
 from giorom.pipeline import Dynamics, connect_within
 from giorom.state import KINEMATIC, SparseState
-from giorom.training.loss import unrolled_loss
+from giorom.training.loss import push_forward, unrolled_loss
 from giorom.training.noise import add_random_walk
 
 FRAME_DT, RADIUS, BETA = 0.02, 0.6, 1e3
@@ -156,3 +156,81 @@ def test_gradients_are_finite_and_flow_through_every_frame():
     std = torch.tensor(SCALES.acceleration_std, dtype=torch.float64)
     expected = -GRAVITY * (1.0 / std.square() + BETA * FRAME_DT**4)
     torch.testing.assert_close(value.grad, expected, rtol=1e-4, atol=1e-8)
+
+
+def test_huber_counts_small_errors_squared_and_large_ones_linearly():
+    """torch.nn.functional.huber_loss, doubled so that it is the mean square where errors are small.
+
+    Two axes, one error below the bound and one above it; the position does not count.
+    """
+    error = torch.tensor([0.3, -21.0], dtype=torch.float64)  # 0.1 and 3 standard deviations
+    model = dynamics(lambda features: (GRAVITY + error).expand_as(features.position))
+    batch = window(free_fall(4), history=3)
+    connect = connect_within(RADIUS, configuration="current")
+
+    def loss(huber: float | None) -> float:
+        options = {"connect": connect, "position_weight": 0.0, "huber": huber}
+        return float(unrolled_loss(model, batch.state, batch, **options))
+
+    scaled = error / torch.tensor(SCALES.acceleration_std, dtype=torch.float64)
+    expected = 2.0 * torch.nn.functional.huber_loss(scaled, torch.zeros(2).double(), delta=0.5)
+    assert loss(0.5) == pytest.approx(float(expected), rel=1e-5)
+    assert loss(None) == pytest.approx(float(scaled.square().mean()), rel=1e-5)
+    assert loss(1e3) == pytest.approx(loss(None), rel=1e-12)
+
+
+def test_pushing_forward_is_the_scheme_and_its_last_step_has_the_loss_of_one_frame():
+    """Free fall with an error c: after n steps velocity and position are off by sums of c dt.
+
+    The last step has to undo the error of the velocity, n c dt, within one frame, and makes c
+    anew: its error is c + n c, its miss that times dt^2. No growth is divided out.
+    """
+    error, steps = torch.tensor([0.3, -0.2], dtype=torch.float64), 3
+    model = dynamics(lambda features: (GRAVITY + error).expand_as(features.position))
+    batch = window(free_fall(3 + steps + 1), history=3)
+    connect = connect_within(RADIUS, configuration="current")
+    state, last = push_forward(model, batch.state, batch, connect=connect)
+
+    drift = state.history - last.state.history
+    expected = error * FRAME_DT**2
+    for back, count in enumerate((6, 3, 1)):  # sums 1 + 2 + 3, 1 + 2, 1
+        torch.testing.assert_close(
+            drift[:, -1 - back], (count * expected).expand(6, 2), rtol=1e-4, atol=1e-10
+        )
+    assert last.target.shape[1] == 1
+    torch.testing.assert_close(last.target[:, 0], batch.target[:, -1])
+    found = loss_of(model, state, last)
+    total = (steps + 1.0) * error
+    std = torch.tensor(SCALES.acceleration_std, dtype=torch.float64)
+    cost = (total / std).square().mean() + BETA * (FRAME_DT**2 * total).square().mean()
+    torch.testing.assert_close(found, cost, rtol=1e-4, atol=0.0)
+
+
+def test_no_gradient_flows_through_the_steps_pushed_forward():
+    """Only the last frame sees the parameter, though the state before it depends on it."""
+    value = torch.zeros(2, dtype=torch.float64, requires_grad=True)
+    model = dynamics(lambda features: value.expand_as(features.position))
+    batch = window(free_fall(7), history=3)
+    connect = connect_within(RADIUS, configuration="current")
+    state, last = push_forward(model, batch.state, batch, connect=connect)
+    assert not state.history.requires_grad
+    loss_of(model, state, last).backward()
+    std = torch.tensor(SCALES.acceleration_std, dtype=torch.float64)
+    expected = -4.0 * GRAVITY * (1.0 / std.square() + BETA * FRAME_DT**4)
+    torch.testing.assert_close(value.grad, expected, rtol=1e-4, atol=1e-8)
+    same, one = push_forward(model, batch.state, window(free_fall(4), history=3), connect=connect)
+    assert same is batch.state
+    assert one.target.shape[1] == 1
+
+
+def test_pushing_forward_keeps_the_noise_of_the_position():
+    """With the exact law the noisy start drifts by the noise of its velocity, and no more."""
+    batch = window(free_fall(6), history=3)
+    noisy = add_random_walk(batch.state, 1e-3, generator=torch.Generator().manual_seed(1))
+    model = dynamics(lambda features: GRAVITY.expand_as(features.position))
+    connect = connect_within(RADIUS, configuration="current")
+    state, last = push_forward(model, noisy, batch, connect=connect)
+    noise = noisy.history - batch.state.history
+    step = noise[:, -1] - noise[:, -2]
+    found = state.position - last.state.position
+    torch.testing.assert_close(found, noise[:, -1] + 2.0 * step, rtol=1e-4, atol=1e-9)

@@ -8,6 +8,7 @@ from giorom.commands.shared import (
     add_experiment,
     check_output,
     chosen_experiment,
+    print_table,
     progress_bar,
     say,
 )
@@ -69,4 +70,10 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
         f"{result['field_parameters']} parameters, best validation rollout MSE "
         f"{result['best_rollout_mse']:.3g} m^2 (holding still: {static:.3g})",
     )
+    rows = [
+        (goal, "not reached" if seconds is None else f"{seconds:.0f} s")
+        for goal, seconds in result["time_to"].items()
+    ]
+    if rows:
+        print_table(arguments, "training until", rows, ("validation rollout MSE", "time"))
     return result

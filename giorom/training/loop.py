@@ -33,9 +33,17 @@ from giorom.training.checkpoint import (
     optimizer_tensors,
     save_checkpoint,
 )
-from giorom.training.loss import unrolled_loss
+from giorom.training.loss import push_forward, unrolled_loss
 from giorom.training.noise import add_random_walk
 from giorom.training.training_config import Budget, TrainingConfig, learning_rate
+
+OPTIMIZERS = {
+    "adamax": torch.optim.Adamax,
+    "adam": torch.optim.Adam,
+    "adamw": torch.optim.AdamW,
+    "nadam": torch.optim.NAdam,
+}
+"""Optimisers of ``TrainingConfig.optimizer``."""
 
 
 @dataclass
@@ -81,7 +89,7 @@ class StepperTraining:
         half = has_bfloat16(on_cpu=on_cpu) if wanted == "auto" else wanted == "bfloat16"
         self.accelerator = Accelerator(mixed_precision="bf16" if half else "no", cpu=on_cpu)
         self.names = [name for name, _ in dynamics.named_parameters()]
-        optimizer = {"adamax": torch.optim.Adamax, "adamw": torch.optim.AdamW}[config.optimizer]
+        optimizer = OPTIMIZERS[config.optimizer]
         self.model, self.optimizer = self.accelerator.prepare(
             dynamics, optimizer(dynamics.parameters(), weight_decay=config.weight_decay)
         )
@@ -138,7 +146,8 @@ class StepperTraining:
             group["lr"] = rate
         self.optimizer.zero_grad(set_to_none=True)
         self.accelerator.backward(loss)
-        self.accelerator.clip_grad_norm_(self.model.parameters(), config.gradient_clip)
+        if config.gradient_clip is not None:
+            self.accelerator.clip_grad_norm_(self.model.parameters(), config.gradient_clip)
         self.optimizer.step()
         self.average.update_parameters(self.accelerator.unwrap_model(self.model))
         return float(loss.detach())
@@ -148,13 +157,17 @@ class StepperTraining:
         config, device = self.config, self.accelerator.device
         model = self.accelerator.unwrap_model(self.model)
         batch = replace(batch, target=batch.target[:, : config.unrolled_frames(progress)])
-        noisy = add_random_walk(batch.state, config.noise_std, generator=generator)
+        noisy = add_random_walk(batch.state, config.noise_std, generator=generator).to(device)
+        batch = batch.to(device)
+        if config.pushforward:
+            noisy, batch = push_forward(model, noisy, batch, connect=self.connect)
         return unrolled_loss(
             model,
-            noisy.to(device),
-            batch.to(device),
+            noisy,
+            batch,
             connect=self.connect,
             position_weight=config.position_weight,
+            huber=config.huber,
         )
 
 

@@ -6,6 +6,9 @@ position term from the clean state, so that its two terms contradict each other.
 particles do not count.
 """
 
+from dataclasses import replace
+
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -22,6 +25,7 @@ def unrolled_loss(
     *,
     connect: Connect,
     position_weight: float,
+    huber: float | None = None,
 ) -> Float[Tensor, ""]:
     """Mean of equation 10 over the frames of ``batch.target``, the model fed its own output.
 
@@ -35,6 +39,8 @@ def unrolled_loss(
         batch: The clean windows the state was made from.
         connect: Graph of a state, where the batch brings none.
         position_weight: Weight beta of the squared position error [1/m^2].
+        huber: Error of the dimensionless acceleration, growth taken out, from which on it counts
+            linearly.
 
     Returns:
         The loss, dimensionless; means over free particles and axes.
@@ -55,6 +61,46 @@ def unrolled_loss(
         state = advance(state, acceleration, prescribed=batch.target[:, frame])
         miss = state.position - target
         growth = (frame + 1) * (frame + 2) / 2
-        step = error[free].square().mean() + position_weight * miss[free].square().mean()
-        total = total + step / growth**2
+        cost = _cost(error[free] / growth, huber)
+        total = total + cost + position_weight * (miss[free] / growth).square().mean()
     return total / frames
+
+
+def push_forward(
+    dynamics: Dynamics, state: SparseState, batch: WindowBatch, *, connect: Connect
+) -> tuple[SparseState, WindowBatch]:
+    """Let the model step to the last but one frame of a window, without gradient.
+
+    Where it strays from the truth on the way takes the place of noise: as with noise, the last
+    step has to undo the error of the velocity, not that of the position.
+
+    Args:
+        dynamics: Model under training.
+        state: State at the current frame, noisy or not.
+        batch: The clean windows the state was made from.
+        connect: Graph of a state, where the batch brings none.
+
+    Returns:
+        The state before the last frame, and the clean windows of that frame alone.
+
+    Source:
+        Brandstetter et al., "Message Passing Neural PDE Solvers", ICLR 2022 (arXiv:2202.03376),
+        pushforward trick.
+    """
+    history, steps = batch.state.history.shape[1], batch.target.shape[1] - 1
+    for frame in range(steps):
+        with torch.no_grad():
+            edges = batch.edges if batch.edges is not None else connect(state)
+            acceleration = dynamics(state, edges).to(state.position.dtype)
+            state = advance(state, acceleration, prescribed=batch.target[:, frame])
+    clean = torch.cat([batch.state.history, batch.target], dim=1)[:, steps : steps + history]
+    last = replace(batch, state=replace(batch.state, history=clean), target=batch.target[:, steps:])
+    return state, last
+
+
+def _cost(error: Tensor, huber: float | None) -> Tensor:
+    """Mean square, of errors beyond ``huber`` the tangent of the square."""
+    if huber is None:
+        return error.square().mean()
+    size = error.abs()
+    return torch.where(size <= huber, size.square(), huber * (2.0 * size - huber)).mean()

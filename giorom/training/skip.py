@@ -91,7 +91,8 @@ def _train_gate(
         loss = (skip(node) - target).square().mean()
         optimizer.zero_grad(set_to_none=True)
         loss.backward()
-        torch.nn.utils.clip_grad_norm_(skip.parameters(), config.gradient_clip)
+        if config.gradient_clip is not None:
+            torch.nn.utils.clip_grad_norm_(skip.parameters(), config.gradient_clip)
         optimizer.step()
         value = float(loss.detach())
         mean = value if math.isnan(mean) else 0.99 * mean + 0.01 * value

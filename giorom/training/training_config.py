@@ -1,6 +1,6 @@
 """What a training of the time-stepper may use: its values, its budget, its learning rate."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 
@@ -11,7 +11,7 @@ class TrainingConfig:
     batch_size: int = 4
     """Windows per optimiser step."""
 
-    optimizer: Literal["adamax", "adamw"] = "adamax"
+    optimizer: Literal["adamax", "adam", "adamw", "nadam"] = "adamax"
     """Optimiser (Adamax in the paper)."""
 
     learning_rate: float = 1e-4
@@ -21,8 +21,11 @@ class TrainingConfig:
     """Learning rate that the decay approaches."""
 
     decades: float = 2.0
-    """Powers of ten by which the learning rate above the final one decays over the budget; the
-    paper's 5e6 steps make one."""
+    """Powers of ten by which the learning rate above the final one decays over the budget."""
+
+    decay_steps: float | None = None
+    """Steps in which it decays by one power of ten whatever the budget (5e6 in the paper); null:
+    as ``decades`` says."""
 
     warmup: int = 100
     """Steps over which the learning rate rises from zero."""
@@ -30,8 +33,8 @@ class TrainingConfig:
     weight_decay: float = 1e-6
     """Weight decay."""
 
-    gradient_clip: float = 1.0
-    """Largest norm of the gradient."""
+    gradient_clip: float | None = 1.0
+    """Largest norm of the gradient; null: any (the paper)."""
 
     noise_std: float = 0.0
     """Spread of the training noise on the newest velocity, as displacement per frame [m]."""
@@ -39,9 +42,18 @@ class TrainingConfig:
     position_weight: float = 1e5
     """Weight beta of the position error in equation 10 [1/m^2]."""
 
+    huber: float | None = None
+    """Error of the dimensionless acceleration above which it counts linearly and no longer
+    squared, for data whose few largest accelerations outweigh all others; null: always squared
+    (the paper)."""
+
     unroll: list[list[float]] | None = None
     """Stages [share of the budget at which it begins, frames per window]; null: one frame (the
     paper)."""
+
+    pushforward: bool = False
+    """Train the last frame of an unrolled window alone: the frames before it, without gradient,
+    make the disturbed state from which the model has to go on."""
 
     gate_steps: int = 4000
     """Steps that fit the gate of a gated skip before the whole network is trained."""
@@ -59,8 +71,13 @@ class TrainingConfig:
     isotropic: bool = False
     """One velocity and one acceleration scale for all axes, no offset."""
 
+    explicit_gravity: bool = False
+    """Learn how accelerations differ from the free fall of ``scene.gravity``: where the network
+    gives zero, particles fall."""
+
     average_decay: float = 0.998
-    """Decay of the running average of the weights that is validated and kept."""
+    """Decay of the running average of the weights that is validated and kept; 0: no average, the
+    newest weights."""
 
     precision: Literal["auto", "float32", "bfloat16"] = "float32"
     """Precision of the matrix products; ``auto`` takes bfloat16 where the machine computes it."""
@@ -74,11 +91,24 @@ class TrainingConfig:
     validation_trajectories: int = 8
     """Held-out trajectories rolled out, at most."""
 
+    least_coverage: float = 0.9
+    """Smallest share of the training samples that the latent grid must reach; a run that falls
+    short is refused."""
+
+    goals: list[float] = field(default_factory=lambda: [1.0, 0.5, 0.25, 0.1, 0.05])
+    """Validation rollout errors to whose first reaching the time is reported."""
+
+    goal_unit: Literal["static", "m^2"] = "static"
+    """Unit of the goals: the error of holding still, or square metres."""
+
     def __post_init__(self) -> None:
         """Reject values no training can use."""
-        positive = "batch_size learning_rate decades gradient_clip subsets validations".split()
+        positive = "batch_size learning_rate decades subsets validations".split()
+        optional = [
+            n for n in ("decay_steps", "gradient_clip", "huber") if getattr(self, n) is not None
+        ]
         natural = "final_learning_rate warmup weight_decay noise_std position_weight".split()
-        for name in [*positive, "validation_frames", "validation_trajectories"]:
+        for name in [*positive, *optional, "validation_frames", "validation_trajectories"]:
             if not getattr(self, name) > 0:
                 raise ValueError(f"TrainingConfig.{name} must be > 0, got {getattr(self, name)!r}.")
         for name in natural:
@@ -86,6 +116,13 @@ class TrainingConfig:
                 raise ValueError(
                     f"TrainingConfig.{name} must be >= 0, got {getattr(self, name)!r}."
                 )
+        if not all(goal > 0 for goal in self.goals):
+            raise ValueError(f"TrainingConfig.goals must all be > 0, got {self.goals!r}.")
+        if not 0.0 <= self.least_coverage <= 1.0:
+            raise ValueError(
+                f"TrainingConfig.least_coverage is a share and must lie in [0, 1], got "
+                f"{self.least_coverage!r}. 0 refuses nothing."
+            )
         if not 0.0 <= self.average_decay < 1.0:
             raise ValueError(
                 f"TrainingConfig.average_decay must lie in [0, 1), got {self.average_decay!r}."
@@ -138,11 +175,12 @@ class Budget:
 
 
 def learning_rate(config: TrainingConfig, *, step: int, progress: float) -> float:
-    """The GNS rule with a horizon that fits the budget.
+    """The GNS rule with a horizon that fits the budget, or with the configured one.
 
     Source:
         arXiv:2002.09405: lr = lr_end + (lr_start - lr_end) 0.1^(t / 5e6).
     """
     span = config.learning_rate - config.final_learning_rate
-    rate = config.final_learning_rate + span * 0.1 ** (config.decades * progress)
+    tenths = config.decades * progress if config.decay_steps is None else step / config.decay_steps
+    rate = config.final_learning_rate + span * 0.1**tenths
     return rate * min(1.0, (step + 1) / max(1, config.warmup))

@@ -1,0 +1,54 @@
+"""How many of the training samples the latent grid reaches; a dead branch is refused.
+
+A particle farther from every grid node than the nodes reach gets nothing from the latent grid, and
+nothing in the loss says so: message passing learns alone.
+"""
+
+import math
+
+from giorom.data.windows import Windows, step_generator, turn
+from giorom.time_stepper import TimeStepper
+from giorom.training.training_config import TrainingConfig
+
+COVERAGE_WINDOWS = 64
+"""Windows on which the coverage is measured."""
+
+
+def check_coverage(time_stepper: TimeStepper, windows: Windows, config: TrainingConfig) -> float:
+    """Refuse to train a network whose latent branch too many samples never see.
+
+    Args:
+        time_stepper: Network with its grid.
+        windows: Training windows.
+        config: Whether windows are turned, and the least coverage.
+
+    Returns:
+        Share of the samples that the grid reaches.
+
+    Raises:
+        ValueError: If it is below ``config.least_coverage``.
+    """
+    share = measure_coverage(time_stepper, windows, turned=config.turn)
+    if share >= config.least_coverage:
+        return share
+    grid = time_stepper.latent.grid
+    raise ValueError(
+        f"the latent grid reaches {100.0 * share:.1f} % of the samples of the training windows, "
+        f"less than training.least_coverage={config.least_coverage:g}: the others would learn "
+        f"without it. Its nodes reach {grid.reach:g} m and need {grid.covering_radius:g} m to "
+        f"leave no gap. Leave latent_radius and latent_bounds out of time_stepper.overrides, so "
+        f"that they follow from the data, or raise latent_side; latent: false trains without a "
+        f"grid, and training.least_coverage: {math.floor(100.0 * share) / 100.0:g} accepts this "
+        f"one."
+    )
+
+
+def measure_coverage(time_stepper: TimeStepper, windows: Windows, *, turned: bool) -> float:
+    """Share of the samples of some training windows that have a grid node within reach."""
+    shares = []
+    for number in range(0, len(windows), max(1, len(windows) // COVERAGE_WINDOWS)):
+        window = windows[number]
+        if turned:
+            window = turn(window, generator=step_generator(0, number))
+        shares.append(float(time_stepper.coverage(window.state.position)))
+    return sum(shares) / len(shares)
