@@ -129,6 +129,7 @@ class Comparison:
         values = [None if swing is None else getattr(swing, name) for name in names]
         deviations = [None if swing is None else abs(value - 1.0) for value in values[1:]]
         return {
+            "swing_seen": 0.0 if swing is None else 1.0,
             "swing_period": values[0],
             "swing_period_ratio": values[1],
             "swing_amplitude_ratio": values[2],

@@ -132,7 +132,18 @@ def summarize(results: list[dict[str, Any]], *, system: str) -> dict[str, Any]:
     for where in ("sparse", "full"):
         scores = [result[where] for result in sound]
         summary[where] = _mean_of(scores) if scores else None
+    summary["per_trajectory"] = [_brief(result) for result in results]
     return summary
+
+
+def _brief(result: dict[str, Any]) -> dict[str, Any]:
+    """What is kept of each trajectory, so that no mean can hide one; MSE on all particles."""
+    kept = ("rollout_mse", "static_mse", "free_fall_mse", "frozen_shape_mse")
+    same = ("shape", "points", "sparse_points", "frames", "diverged_at")
+    return {name: result.get(name) for name in same} | {
+        "sparse_rollout_mse": result["sparse"]["rollout_mse"],
+        **{name: result["full"].get(name) for name in kept},
+    }
 
 
 SPREAD = (

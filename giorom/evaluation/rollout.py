@@ -53,14 +53,23 @@ def roll_out(
 
 def single_scene(state: SparseState, scene: int) -> SparseState:
     """One scene of a batch."""
-    member = state.batch == scene
+    return select_scenes(state, [scene])
+
+
+def select_scenes(state: SparseState, scenes: list[int]) -> SparseState:
+    """Some scenes of a batch, numbered anew.
+
+    Args:
+        state: The batch.
+        scenes: Which, ascending.
+    """
+    kept = torch.tensor(scenes, dtype=torch.long, device=state.batch.device)
+    member = torch.isin(state.batch, kept)
+    rows = ("history", "reference", "particle_type", "weight", "memory")
+    values = {name: getattr(state, name) for name in rows}
     return replace(
         state,
-        history=state.history[member],
-        reference=state.reference[member],
-        particle_type=state.particle_type[member],
-        batch=torch.zeros(int(member.sum()), dtype=torch.long, device=state.batch.device),
-        batch_size=1,
-        weight=None if state.weight is None else state.weight[member],
-        memory=None if state.memory is None else state.memory[member],
+        batch=torch.searchsorted(kept, state.batch[member]),
+        batch_size=len(scenes),
+        **{name: value[member] for name, value in values.items() if value is not None},
     )
