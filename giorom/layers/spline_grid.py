@@ -1,0 +1,91 @@
+"""A background grid with quadratic B-splines: mass and momentum between points and nodes.
+
+Every point touches the 3^d nodes around it. The weights are positive and add up to one, and the
+offsets of the nodes, weighted so, add up to zero: sums over points that are handed to the nodes
+and back keep mass, momentum and angular momentum.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+MARGIN = 3
+"""Nodes beyond each wall, so that every point near a wall finds its neighbours."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stencil:
+    """The nodes that some points touch."""
+
+    node: Int[Tensor, "q k"]
+    """Running number of each node, scenes behind one another."""
+
+    weight: Float[Tensor, "q k"]
+    """Share of the point that each node gets; adds up to one."""
+
+    offset: Float[Tensor, "q k d"]
+    """From the point to the node [m]."""
+
+
+class SplineGrid:
+    """A regular grid over a box, the same for every scene of a batch.
+
+    Args:
+        bounds: Lower and upper wall on each axis [m]; the lower walls lie on nodes.
+        spacing: Distance between nodes [m].
+    """
+
+    def __init__(self, bounds: Float[Tensor, "d 2"], *, spacing: float) -> None:
+        self.spacing, self.dimension = spacing, len(bounds)
+        cells = torch.ceil((bounds[:, 1] - bounds[:, 0]) / spacing - 1e-3).long()
+        self.origin = bounds[:, 0] - MARGIN * spacing
+        self.shape = (cells + 1 + 2 * MARGIN).tolist()
+        strides = torch.tensor([1, *self.shape[::-1]][:-1], device=bounds.device).cumprod(0)
+        self.stride = strides.flip(0)
+        self.corner = torch.cartesian_prod(
+            *[torch.arange(3, device=bounds.device)] * self.dimension
+        )
+        self.last_base = bounds.new_tensor(self.shape) - 3
+        axes = [torch.arange(n, dtype=bounds.dtype, device=bounds.device) for n in self.shape]
+        self.node_position = self.origin + torch.cartesian_prod(*axes) * spacing
+
+    @property
+    def node_count(self) -> int:
+        """Nodes of one scene."""
+        return len(self.node_position)
+
+    @property
+    def inverse_moment(self) -> float:
+        """Inverse of the second moment of the weights, the same on every axis [1/m^2]."""
+        return 4.0 / self.spacing**2
+
+    def stencil(self, position: Float[Tensor, "q d"], batch: Int[Tensor, " q"]) -> Stencil:
+        """Nodes, weights and offsets of points.
+
+        Args:
+            position: Points [m]; those beyond the margin touch the outermost nodes.
+            batch: Scene of each point.
+        """
+        place = (position - self.origin) / self.spacing
+        base = torch.floor(place.detach() - 0.5).clamp_min(0.0)
+        base = torch.minimum(base, self.last_base)
+        f = (place - base).clamp(0.5, 1.5)
+        each = torch.stack(
+            [0.5 * (1.5 - f) ** 2, 0.75 - (f - 1.0) ** 2, 0.5 * (f - 0.5) ** 2], dim=-1
+        )
+        weight = each[:, 0]
+        for axis in range(1, self.dimension):
+            weight = (weight[:, :, None] * each[:, axis, None, :]).flatten(1)
+        first = (base.long() * self.stride).sum(dim=1) + batch * self.node_count
+        node = first[:, None] + (self.corner * self.stride).sum(dim=1)
+        offset = (self.corner.to(f) - f[:, None, :]) * self.spacing
+        return Stencil(node=node, weight=weight, offset=offset)
+
+    def gather(
+        self, stencil: Stencil, value: Float[Tensor, "q k c"], *, scenes: int
+    ) -> Float[Tensor, "n c"]:
+        """Sum what the points give to their nodes; ``n`` counts the nodes of all scenes."""
+        result = value.new_zeros(scenes * self.node_count, value.shape[2])
+        return result.index_add(0, stencil.node.flatten(), value.flatten(0, 1))
