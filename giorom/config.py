@@ -13,6 +13,7 @@ import yaml
 
 from giorom.features import FeatureConfig
 from giorom.graph import GraphConfig
+from giorom.grid_stepper import GridStepperConfig
 from giorom.mpm.scene_config import SceneConfig
 from giorom.mpm.simulate import SolverConfig
 from giorom.neural_field import NeuralFieldConfig
@@ -96,6 +97,9 @@ class Experiment:
 
     time_stepper: StepperChoice = default(default_factory=StepperChoice)
     """The network that predicts accelerations."""
+
+    grid_stepper: GridStepperConfig | None = None
+    """The coarse grid that moves the samples instead of the network; null: the network does."""
 
     field: NeuralFieldConfig = default(default_factory=NeuralFieldConfig)
     """The network that recovers all particles."""

@@ -28,7 +28,7 @@ from giorom.evaluation.rollout import roll_out
 from giorom.evaluation.trivial import hold_still
 from giorom.graph import RadiusChoice, choose_radius
 from giorom.normalization import Normalization
-from giorom.pipeline import Connect
+from giorom.pipeline import Connect, Dynamics
 from giorom.sampling import sample
 from giorom.simulator import Simulator, SimulatorConfig
 from giorom.state import SparseState, Trajectory
@@ -47,6 +47,9 @@ from giorom.version import __version__
 
 PRELUDE = 0.1
 """Largest share of the budget of minutes that the field, and again the skip, may use."""
+
+FALLING_FRAMES = 4
+"""Frames at the start of each trajectory that say what gravity is."""
 
 RADIUS_BODIES = 16
 """Training bodies whose connectivity decides the graph radius."""
@@ -111,7 +114,10 @@ def load_training_data(experiment: Experiment, folder: Path) -> TrainingData:
         metadata=metadata,
         choice=choice,
         windows=Windows(
-            sampled, history=experiment.features.history, future=training.longest_unroll
+            sampled,
+            history=experiment.features.history,
+            future=training.longest_unroll,
+            starts=training.objective == "motion",
         ),
         thinned=[thin(t, experiment.field_training, seed=i) for i, t in enumerate(full)],
         validation=validation[: training.validation_trajectories],
@@ -174,7 +180,14 @@ def fit_normalization(experiment: Experiment, metadata: dict[str, Any]) -> Norma
 def build_simulator(experiment: Experiment, data: TrainingData) -> Simulator:
     """An untrained simulator for a data set."""
     dimension = int(data.metadata["dim"])
-    return Simulator(
+    network = None
+    if experiment.grid_stepper is None:
+        network = experiment.time_stepper.build(
+            dimension=dimension,
+            features=experiment.features,
+            latent_bounds=data.latent_bounds,
+        )
+    simulator = Simulator(
         SimulatorConfig(
             system=experiment.system,
             dimension=dimension,
@@ -184,16 +197,26 @@ def build_simulator(experiment: Experiment, data: TrainingData) -> Simulator:
             graph=replace(experiment.graph, radius=data.choice.radius),
             features=experiment.features,
             normalization=fit_normalization(experiment, data.metadata),
-            time_stepper=experiment.time_stepper.build(
-                dimension=dimension,
-                features=experiment.features,
-                latent_bounds=data.latent_bounds,
-            ),
+            time_stepper=network,
+            grid_stepper=experiment.grid_stepper,
             field=experiment.field,
             scene=experiment.scene,
             solver=experiment.solver,
         )
     )
+    if network is None:
+        simulator.dynamics.gravity.copy_(first_acceleration(data.windows.trajectories))
+    return simulator
+
+
+def first_acceleration(trajectories: list[SampledTrajectory]) -> Tensor:
+    """Mean acceleration of the first frames, before anything touches anything: gravity [m/s^2]."""
+    found = [
+        t.motion.position[: FALLING_FRAMES + 2].double().diff(n=2, dim=0).mean(dim=(0, 1))
+        / t.motion.frame_dt**2
+        for t in trajectories
+    ]
+    return torch.stack(found).median(dim=0).values.float()
 
 
 def train(
@@ -227,16 +250,19 @@ def train(
     data = load_training_data(experiment, data_folder)
     report("note", {"text": str(data.choice)})
     simulator = build_simulator(experiment, data)
-    network = simulator.dynamics.time_stepper
-    coverage = check_coverage(network, data.windows, experiment.training)
-    report("note", {"text": f"the latent grid reaches {100.0 * coverage:.1f} % of the samples"})
+    coverage = None
+    if isinstance(simulator.dynamics, Dynamics):
+        network = simulator.dynamics.time_stepper
+        coverage = check_coverage(network, data.windows, experiment.training)
+        text = f"the latent grid reaches {100.0 * coverage:.1f} % of the samples"
+        report("note", {"text": text})
     validate = _validation(experiment, data, connect=simulator.connect, device=device)
     _prepare_folder(out, _identity(experiment, simulator.config, seed=seed), resume=resume)
-    if not resume:
+    if not resume and coverage is not None:
         append_log(out / "log.jsonl", {"stage": "coverage", "share": coverage})
     _train_field(simulator, experiment, data, out=out, budget=budget, seed=seed, report=report)
     interrupted = resume and any((out / "checkpoints").glob(f"{CHECKPOINT_PREFIX}*"))
-    if network.input_skip is not None and not interrupted:
+    if _has_skip(simulator) and not interrupted:
         _fit_skip(simulator, experiment, data, out=out, budget=budget, seed=seed, report=report)
     simulator.to(device)
     training = StepperTraining(
@@ -274,7 +300,7 @@ def train(
             earlier=seconds_of_stage(out / "log.jsonl", "skip"),
         ),
         "latent_coverage": coverage,
-        "parameters": sum(p.numel() for p in network.parameters()),
+        "parameters": sum(p.numel() for p in simulator.dynamics.parameters()),
         "field_parameters": sum(p.numel() for p in simulator.field.parameters()),
         "radius": data.choice.radius,
         "seed": seed,
@@ -283,6 +309,12 @@ def train(
         "giorom": __version__,
         "history": run.history,
     }
+
+
+def _has_skip(simulator: Simulator) -> bool:
+    """Whether the network has a part that is fitted before it is trained."""
+    network = simulator.config.time_stepper
+    return network is not None and network.input_skip != "none"
 
 
 def _fit_skip(

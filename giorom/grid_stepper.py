@@ -37,9 +37,6 @@ LIGHTEST = 1e-9
 class GridStepperConfig:
     """Size of the grid and start of what is learned."""
 
-    dimension: int
-    """Space dimension, 2 or 3."""
-
     spacing: float
     """Distance between grid nodes [m]; 1 to 1.5 times that between samples."""
 
@@ -49,15 +46,8 @@ class GridStepperConfig:
     wall_contact: Literal["slip", "stick"] = "slip"
     """Whether samples slide along walls."""
 
-    gravity: list[float] | None = None
-    """Acceleration of free fall that training starts from [m/s^2]; null: none."""
-
     def __post_init__(self) -> None:
         """Reject what no grid can be built from."""
-        if self.dimension not in (2, 3):
-            raise ValueError(
-                f"GridStepperConfig.dimension must be 2 or 3, got {self.dimension!r}."
-            )
         if not self.spacing > 0.0:
             raise ValueError(
                 f"GridStepperConfig.spacing must be > 0 m, got {self.spacing!r}. Take 1 to 1.5 "
@@ -69,11 +59,6 @@ class GridStepperConfig:
             raise ValueError(
                 f"GridStepperConfig.wall_contact must be 'slip' or 'stick', got "
                 f"{self.wall_contact!r}."
-            )
-        if self.gravity is not None and len(self.gravity) != self.dimension:
-            raise ValueError(
-                f"GridStepperConfig.gravity must have {self.dimension} components, got "
-                f"{self.gravity!r}."
             )
 
 
@@ -91,14 +76,15 @@ class GridStepper(nn.Module):
     """Move the samples by one frame through a coarse grid.
 
     Args:
-        config: Size and start.
+        config: Size of the grid.
+        dimension: Space dimension, 2 or 3.
     """
 
-    def __init__(self, config: GridStepperConfig) -> None:
+    def __init__(self, config: GridStepperConfig, *, dimension: int) -> None:
         super().__init__()
-        self.config = config
-        self.law = LearnedLaw(config.dimension)
-        self.gravity = nn.Parameter(torch.tensor(config.gravity or [0.0] * config.dimension))
+        self.config, self.dimension = config, dimension
+        self.law = LearnedLaw(dimension)
+        self.register_buffer("gravity", torch.zeros(dimension))
         self.blend_logit = nn.Parameter(torch.tensor(0.0))
 
     @property
@@ -109,7 +95,7 @@ class GridStepper(nn.Module):
     def step(
         self,
         state: SparseState,
-        edges: Edges | None,
+        edges: Edges,
         prescribed: Float[Tensor, "q d"] | None = None,
     ) -> SparseState:
         """The state one frame later; kinematic samples go where ``prescribed`` says [m]."""
@@ -124,6 +110,11 @@ class GridStepper(nn.Module):
         position = torch.where(state.kinematic[:, None], target, motion.position)
         history = torch.cat([state.history[:, 1:], position[:, None]], dim=1)
         return replace(state, history=history, memory=self._remember(motion, position))
+
+    def start(self, state: SparseState, velocity: Float[Tensor, "q d"]) -> SparseState:
+        """The state of undeformed samples with a known velocity [m/s]."""
+        motion = replace(self._begin(state), velocity=velocity)
+        return replace(state, memory=self._remember(motion, state.position))
 
     def _substep(
         self,
@@ -199,7 +190,7 @@ class GridStepper(nn.Module):
 
     def _begin(self, state: SparseState) -> _Motion:
         """Undeformed samples that move as their last two frames say."""
-        d = self.config.dimension
+        d = self.dimension
         # The difference of two frames is the velocity half a frame ago.
         velocity = state.velocity + 0.5 * state.frame_dt * self.gravity
         return _Motion(
@@ -209,9 +200,7 @@ class GridStepper(nn.Module):
             strain=self.law.rest(state.particle_type),
         )
 
-    def _remember(
-        self, motion: _Motion, position: Float[Tensor, "q d"]
-    ) -> Float[Tensor, "q m"]:
+    def _remember(self, motion: _Motion, position: Float[Tensor, "q d"]) -> Float[Tensor, "q m"]:
         """The motion as one row per sample."""
         strain = motion.strain
         return torch.cat(
@@ -228,7 +217,7 @@ class GridStepper(nn.Module):
 
     def _recall(self, state: SparseState) -> _Motion:
         """The inverse of ``_remember``; samples that were moved since take the velocity of it."""
-        d = self.config.dimension
+        d = self.dimension
         place, velocity, gradient, isochoric, ratio, gained = state.memory.split(
             [d, d, d * d, d * d, 1, 1], dim=1
         )

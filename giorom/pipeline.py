@@ -99,6 +99,12 @@ def connect_within(radius: float, *, configuration: str, kind: str = "radius") -
     return connect_once if configuration == "reference" else connect
 
 
+def unconnected(state: SparseState) -> Edges:
+    """The graph without edges, for steps that need none."""
+    none = torch.zeros(0, dtype=torch.long, device=state.batch.device)
+    return Edges(sender=none, receiver=none, offset=none.new_zeros(len(state.batch) + 1))
+
+
 def rollout(
     state: SparseState,
     frames: int,

@@ -19,6 +19,7 @@ from torch import Tensor, nn
 
 from giorom.features import FeatureConfig
 from giorom.graph import GraphConfig
+from giorom.grid_stepper import GridStepper, GridStepperConfig
 from giorom.mpm.scene_config import SceneConfig
 from giorom.mpm.simulate import SolverConfig
 from giorom.neural_field import FieldDecoder, NeuralField, NeuralFieldConfig
@@ -29,6 +30,7 @@ from giorom.pipeline import (
     connect_within,
     full_order_rollout,
     start_from_velocity,
+    unconnected,
 )
 from giorom.records import nearest, one_line, parse_record
 from giorom.sampling import SamplingConfig, represented_particles, sample
@@ -74,9 +76,6 @@ class SimulatorConfig:
     normalization: Normalization
     """Scales of the training data."""
 
-    time_stepper: TimeStepperConfig
-    """Stage 4."""
-
     field: NeuralFieldConfig
     """Stage 6."""
 
@@ -86,12 +85,17 @@ class SimulatorConfig:
     solver: SolverConfig
     """Simulator that made its training data: the referee."""
 
+    time_stepper: TimeStepperConfig | None = None
+    """Stage 4, the network; or none."""
+
+    grid_stepper: GridStepperConfig | None = None
+    """Stages 4 and 5 by a coarse grid instead of a network; or none."""
+
     def __post_init__(self) -> None:
         """Reject parts that do not fit together."""
         found = {
             "bounds": len(self.bounds),
             "normalization": len(self.normalization.velocity_std),
-            "time_stepper.dimension": self.time_stepper.dimension,
             "scene.dimension": self.scene.dimension,
         }
         for name, dimension in found.items():
@@ -100,7 +104,21 @@ class SimulatorConfig:
                     f"SimulatorConfig.dimension is {self.dimension}, but {name} is made for "
                     f"{dimension}. All parts need the same one."
                 )
-        widths = (self.time_stepper.node_width, self.time_stepper.edge_width)
+        if (self.time_stepper is None) == (self.grid_stepper is None):
+            raise ValueError(
+                "SimulatorConfig needs time_stepper or grid_stepper, and not both: one of them "
+                "moves the samples."
+            )
+        if self.time_stepper is not None:
+            self._check_network(self.time_stepper)
+
+    def _check_network(self, network: TimeStepperConfig) -> None:
+        if network.dimension != self.dimension:
+            raise ValueError(
+                f"SimulatorConfig.dimension is {self.dimension}, but time_stepper.dimension is "
+                f"made for {network.dimension}. All parts need the same one."
+            )
+        widths = (network.node_width, network.edge_width)
         features = self.features
         wanted = (features.node_width(self.dimension), features.edge_width(self.dimension))
         if widths != wanted:
@@ -122,17 +140,14 @@ class Simulator(nn.Module):
         if config.graph.radius is None:
             raise ValueError("SimulatorConfig.graph.radius must be set; choose_radius finds one.")
         self.config = config
-        self.dynamics = Dynamics(
-            TimeStepper(config.time_stepper),
-            features=config.features,
-            normalization=config.normalization,
-            radius=config.graph.radius,
-        )
+        self.dynamics = _stepper(config)
         self.field = NeuralField(config.field, dimension=config.dimension)
 
     @property
     def connect(self) -> Connect:
-        """Stage 3 with this simulator's radius."""
+        """Stage 3 with this simulator's radius; a grid needs no edges."""
+        if self.config.grid_stepper is not None:
+            return unconnected
         graph = self.config.graph
         return connect_within(graph.radius, configuration=graph.configuration, kind=graph.kind)
 
@@ -164,7 +179,7 @@ class Simulator(nn.Module):
     ) -> SparseState:
         """The sparse state of a body at rest shape with a given velocity."""
         self._check_dimension(position)
-        return start_from_velocity(
+        state = start_from_velocity(
             position[samples],
             velocity[samples],
             particle_type=particle_type[samples],
@@ -173,6 +188,9 @@ class Simulator(nn.Module):
             history=self.config.features.history,
             weight=represented_particles(position, samples),
         )
+        if isinstance(self.dynamics, GridStepper):
+            return self.dynamics.start(state, velocity[samples])
+        return state
 
     def decoder(
         self,
@@ -302,6 +320,18 @@ class Simulator(nn.Module):
                 f"({self.config.system}) was trained in {self.config.dimension} dimensions. Use a "
                 f"model of that dimension."
             )
+
+
+def _stepper(config: SimulatorConfig) -> Dynamics | GridStepper:
+    """What moves the samples, untrained."""
+    if config.grid_stepper is not None:
+        return GridStepper(config.grid_stepper, dimension=config.dimension)
+    return Dynamics(
+        TimeStepper(config.time_stepper),
+        features=config.features,
+        normalization=config.normalization,
+        radius=config.graph.radius,
+    )
 
 
 def check_frames(frames: int, position: Float[Tensor, "p d"]) -> None:

@@ -108,9 +108,17 @@ class Windows(torch.utils.data.Dataset):
         trajectories: The sampled trajectories.
         history: Frames before and including the current one.
         future: Frames after it.
+        starts: Only the window at the beginning of each trajectory.
     """
 
-    def __init__(self, trajectories: list[SampledTrajectory], *, history: int, future: int) -> None:
+    def __init__(
+        self,
+        trajectories: list[SampledTrajectory],
+        *,
+        history: int,
+        future: int,
+        starts: bool = False,
+    ) -> None:
         counts = [t.motion.frame_count - history - future + 1 for t in trajectories]
         if not counts or min(counts) < 1:
             shortest = min((t.motion.frame_count for t in trajectories), default=0)
@@ -119,7 +127,7 @@ class Windows(torch.utils.data.Dataset):
                 f"{shortest}. Simulate more frames or unroll fewer."
             )
         self.trajectories, self.history, self.future = trajectories, history, future
-        self.end = torch.tensor(counts).cumsum(0)
+        self.end = torch.tensor([1] * len(counts) if starts else counts).cumsum(0)
 
     def __len__(self) -> int:
         """Number of windows."""

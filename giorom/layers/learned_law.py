@@ -80,9 +80,7 @@ class LearnedLaw(nn.Module):
         """One constant of every sample."""
         return getattr(self, f"log_{name}").exp()[particle_type]
 
-    def stress(
-        self, strain: Strain, particle_type: Int[Tensor, " q"]
-    ) -> Float[Tensor, "q d d"]:
+    def stress(self, strain: Strain, particle_type: Int[Tensor, " q"]) -> Float[Tensor, "q d d"]:
         """Kirchhoff stress over density [m^2/s^2]."""
         ratio = strain.volume_ratio * strain.gained.exp()
         pull = self.constant("bulk", particle_type) * ratio * (ratio - 1.0)

@@ -33,7 +33,7 @@ from giorom.training.checkpoint import (
     optimizer_tensors,
     save_checkpoint,
 )
-from giorom.training.loss import push_forward, unrolled_loss
+from giorom.training.loss import motion_loss, push_forward, unrolled_loss
 from giorom.training.noise import add_random_walk
 from giorom.training.training_config import Budget, TrainingConfig, learning_rate
 
@@ -157,6 +157,8 @@ class StepperTraining:
         config, device = self.config, self.accelerator.device
         model = self.accelerator.unwrap_model(self.model)
         batch = replace(batch, target=batch.target[:, : config.unrolled_frames(progress)])
+        if config.objective == "motion":
+            return motion_loss(model.step, batch.to(device), connect=self.connect)
         noisy = add_random_walk(batch.state, config.noise_std, generator=generator).to(device)
         batch = batch.to(device)
         if config.pushforward:

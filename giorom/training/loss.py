@@ -14,8 +14,32 @@ from torch import Tensor
 
 from giorom.data.windows import WindowBatch, free_particles
 from giorom.integrate import advance, finite_differences
-from giorom.pipeline import Connect, Dynamics
+from giorom.pipeline import Connect, Dynamics, Step
 from giorom.state import SparseState
+
+SOFTENING = 1e-8
+"""Squared error at which the loss of a motion turns from a root into a parabola [m^2]."""
+
+
+def motion_loss(step: Step, batch: WindowBatch, *, connect: Connect) -> Float[Tensor, ""]:
+    """Root of the mean squared error of each scene's motion, averaged over scenes [m].
+
+    The root keeps the few scenes that go very wrong from ruling the gradient.
+
+    Args:
+        step: Stages 4 and 5 under training; gradients flow through every frame.
+        batch: The windows, from their first frame on.
+        connect: Graph of a state.
+    """
+    state, errors = batch.state, []
+    for frame in range(batch.target.shape[1]):
+        state = step(state, connect(state), batch.target[:, frame])
+        errors.append((state.position - batch.target[:, frame]).square().sum(dim=1))
+    error = torch.stack(errors).mean(dim=0)
+    free = free_particles(state)
+    total = error.new_zeros(state.batch_size).index_add(0, state.batch[free], error[free])
+    count = torch.bincount(state.batch[free], minlength=state.batch_size).clamp_min(1)
+    return (total / count + SOFTENING).sqrt().mean()
 
 
 def unrolled_loss(

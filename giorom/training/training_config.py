@@ -47,6 +47,10 @@ class TrainingConfig:
     squared, for data whose few largest accelerations outweigh all others; null: always squared
     (the paper)."""
 
+    objective: Literal["acceleration", "motion"] = "acceleration"
+    """What the loss compares: the accelerations and positions of equation 10, or, for a grid
+    stepper, the whole motion from the first frame on."""
+
     unroll: list[list[float]] | None = None
     """Stages [share of the budget at which it begins, frames per window]; null: one frame (the
     paper)."""
