@@ -1,7 +1,9 @@
 """An experiment: one YAML file, one frozen record.
 
-A preset is such a file inside the package. Values that follow from others (widths of the
-features, bounds of the latent grid, the graph radius) are not written down but derived.
+A preset is such a file inside the package. A recipe is one that replaces some groups of another
+by its own: ``water2d-small+paper`` is the preset ``water2d-small`` with the graph, the features,
+the network and the training of the paper. Values that follow from others (widths of the features,
+bounds of the latent grid, the graph radius) are not written down but derived.
 """
 
 from dataclasses import dataclass
@@ -116,21 +118,54 @@ def preset_names() -> list[str]:
     return sorted(path.stem for path in PRESETS.glob("*.yaml"))
 
 
+def recipe_names() -> list[str]:
+    """Names of the recipes of the package."""
+    return sorted(path.name for path in PRESETS.iterdir() if path.is_dir())
+
+
 def load_experiment(name: str, overrides: dict[str, Any] | None = None) -> Experiment:
     """Read a preset or a YAML file, with some values changed.
 
     Args:
-        name: Name of a preset, or path of a YAML file.
-        overrides: Nested values that replace those of the file.
+        name: Name of a preset, or path of a YAML file; behind a plus, the name of a recipe.
+        overrides: Nested values that replace those of the file and of the recipe.
 
     Raises:
-        ValueError: If there is no such preset or file, or a value is refused; one line.
+        ValueError: If there is no such preset, file or recipe, or a value is refused; one line.
     """
-    path = PRESETS / f"{name}.yaml"
-    if not path.is_file():
-        path = Path(name)
+    path, recipe = _preset_path(name), ""
+    if not path.is_file() and "+" in name:
+        preset, _, recipe = name.rpartition("+")
+        path = _preset_path(preset)
     if not path.is_file():
         raise ValueError(f"there is no preset {name!r}. {nearest(name, preset_names())}")
+    values = _read_values(path)
+    if recipe:
+        values |= _read_values(_recipe_path(recipe, values.get("system")))
+    return parse_record(Experiment, merged(values, overrides or {}), where=name)
+
+
+def _preset_path(name: str) -> Path:
+    """File of a preset of the package, or a path."""
+    path = PRESETS / f"{name}.yaml"
+    return path if path.is_file() else Path(name)
+
+
+def _recipe_path(recipe: str, system: Any) -> Path:
+    """File of a recipe for a system."""
+    if recipe not in recipe_names():
+        raise ValueError(f"there is no recipe {recipe!r}. {nearest(recipe, recipe_names())}")
+    known = sorted(path.stem for path in (PRESETS / recipe).glob("*.yaml"))
+    if system not in known:
+        raise ValueError(
+            f"the recipe {recipe!r} says nothing about the system {system!r}. "
+            f"{nearest(system, known)}"
+        )
+    return PRESETS / recipe / f"{system}.yaml"
+
+
+def _read_values(path: Path) -> dict[Any, Any]:
+    """The mapping a YAML file holds."""
     if path.stat().st_size > MOST_BYTES:
         raise ValueError(
             f"{path} has {path.stat().st_size} bytes, more than the {MOST_BYTES} that an "
@@ -142,7 +177,7 @@ def load_experiment(name: str, overrides: dict[str, Any] | None = None) -> Exper
         raise ValueError(f"{path} is not readable YAML: {one_line(error)}") from None
     if not isinstance(values, dict):
         raise ValueError(f"{path} must hold a mapping of names to values, not {values!r}.")
-    return parse_record(Experiment, merged(values, overrides or {}), where=name)
+    return values
 
 
 def merged(values: dict[Any, Any], changes: dict[Any, Any]) -> dict[Any, Any]:

@@ -5,8 +5,6 @@ the nodes, and a second kernel integral brings the result back. Only this part r
 which are metres.
 """
 
-import warnings
-
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
@@ -64,7 +62,6 @@ class LatentBranch(nn.Module):
         )
         inner = [config.projection_width] * (config.projection_layers - 1)
         self.projection = MLP([config.hidden, *inner, config.hidden], activation=nn.GELU())
-        self._warn_if_blind()
 
     def forward(self, value: Float[Tensor, "q c"], features: Features) -> Float[Tensor, "q h"]:
         """Exchange information through the grid of each scene.
@@ -111,16 +108,6 @@ class LatentBranch(nn.Module):
         low, high = position.new_tensor(self.domain).unbind(dim=1)
         with torch.autocast(position.device.type, enabled=False):
             return torch.tanh(self.to_plane((position - low) / (high - low)))
-
-    def _warn_if_blind(self) -> None:
-        """Say so when the grid cannot reach every particle."""
-        if self.grid.reach < self.grid.covering_radius:
-            warnings.warn(
-                f"latent_radius={self.grid.reach:g} m is below half the diagonal of a grid cell, "
-                f"{self.grid.covering_radius:g} m: particles far from every node get nothing from "
-                f"the grid. Raise latent_radius, raise latent_side, or set latent_radius=None.",
-                stacklevel=4,
-            )
 
 
 def _transformer(config: TimeStepperConfig) -> OperatorTransformer:

@@ -29,7 +29,6 @@ def log_of(folder):
     return [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
 
 
-@pytest.mark.filterwarnings("ignore:latent_radius")
 def test_coverage_is_the_share_of_samples_with_a_node_in_reach(tiny, data_folder):
     """Brute force over all samples, nodes and windows of a coarse grid with a short reach."""
     experiment = with_grid(tiny, latent_radius=0.15, latent_bounds=[[0.0, 1.0]] * 3)
@@ -47,7 +46,6 @@ def test_coverage_is_the_share_of_samples_with_a_node_in_reach(tiny, data_folder
     assert found == pytest.approx(sum(shares[::step]) / len(shares[::step]), abs=1e-6)
 
 
-@pytest.mark.filterwarnings("ignore:latent_radius")
 @pytest.mark.parametrize("grid", [{"latent_bounds": FAR}, {"latent_radius": 1e-3}])
 def test_a_run_whose_latent_branch_is_dead_is_refused_before_it_begins(
     tiny, data_folder, run_training, tmp_path, grid

@@ -103,7 +103,11 @@ def _terminated_as_interrupted() -> Iterator[None]:
 
 def add_experiment(parser: argparse.ArgumentParser) -> None:
     """Options that choose an experiment."""
-    parser.add_argument("preset", nargs="?", help="name of a preset, such as elastic3d-small")
+    parser.add_argument(
+        "preset",
+        nargs="?",
+        help="name of a preset, such as elastic3d-small; +paper behind it trains as the paper does",
+    )
     parser.add_argument(
         "--config",
         type=Path,
