@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from benchmarks.accuracy.discretisation import at_radius, measure_discretisation
+from benchmarks.accuracy.discretisation import measure_discretisation, widened
 from benchmarks.accuracy.noise_floor import measure_noise_floor
 from benchmarks.accuracy.stability import measure_stability
 from giorom.data.trajectory_file import read_trajectory
@@ -61,8 +61,7 @@ def test_a_model_at_its_own_radius_is_the_same_model(simulator, data_folder):
     trajectory = read_trajectory(data_folder, "test", 0)
     samples = simulator.sample(trajectory.position[0])
     state = start_from_trajectory(trajectory, samples, history=2)
-    trained = simulator.config.graph.radius
-    same, other = at_radius(simulator, trained), at_radius(simulator, 1.5 * trained)
+    same, other = widened(simulator, 1.0), widened(simulator, 1.5)
     expected = simulator.dynamics(state, simulator.connect(state))
     assert torch.equal(same.dynamics(state, same.connect(state)), expected)
     assert len(other.connect(state).sender) > len(same.connect(state).sender)

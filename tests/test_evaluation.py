@@ -8,7 +8,7 @@ import torch
 from torch import nn
 
 from giorom.data.trajectory_file import read_trajectory
-from giorom.evaluation.evaluate import evaluate_trajectory, summarize
+from giorom.evaluation.evaluate import evaluate_trajectory, one_step_errors, summarize
 from giorom.evaluation.metrics import (
     amplitude_ratio,
     displacement_correlation,
@@ -291,3 +291,25 @@ def test_spacing_follows_from_the_wanted_number_of_points(tiny):
     assert scene_with_points(tiny.scene, points=None, found=100) is tiny.scene
     with pytest.raises(ValueError, match="must be >= 1"):
         scene_with_points(tiny.scene, points=0, found=100)
+
+
+def test_memory_is_carried_along_the_true_positions(simulator, data_folder):
+    """A stepper that counts its steps: every frame is stepped once, a fifth of them is scored."""
+    trajectory = read_trajectory(data_folder, "test", 0)
+    samples = simulator.sample(trajectory.position[0])
+    seen = []
+
+    def step(state, edges, prescribed):
+        seen.append((0.0 if state.memory is None else float(state.memory[0, 0]), state.position))
+        moved = prescribed + 1e-3 * len(seen)
+        history = torch.cat([state.history[:, 1:], moved[:, None]], dim=1)
+        memory = torch.full((len(samples), 1), float(len(seen)))
+        return replace(state, history=history, memory=memory)
+
+    simulator.dynamics.step = step
+    sparse, _ = one_step_errors(simulator, trajectory, samples, frames=12)
+    assert [memory for memory, _ in seen] == [float(k) for k in range(12)]
+    for frame, (_, position) in enumerate(seen):
+        assert torch.equal(position, trajectory.position[1 + frame, samples])
+    expected = sum(3 * (1e-3 * count) ** 2 for count in (1, 6, 11)) / 3
+    assert sparse == pytest.approx(expected, rel=1e-3)

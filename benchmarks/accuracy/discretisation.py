@@ -1,8 +1,8 @@
 """One model at other numbers of samples and on shapes it never saw (Table 2 of the paper).
 
-Fewer samples than in training: the graph radius and its unit grow with the distance between
-samples, because the graph would fall apart otherwise. More samples: both stay as trained, so that
-each sample sees the same neighbourhood, more densely filled.
+Fewer samples than in training: the graph radius and its unit, or the spacing of the grid, grow
+with the distance between samples, because what connects them would fall apart otherwise. More
+samples: all stays as trained, so that each sample sees the same neighbourhood, more densely filled.
 """
 
 import tempfile
@@ -83,10 +83,19 @@ def measure_discretisation(
     }
 
 
-def at_radius(simulator: Simulator, radius: float) -> Simulator:
-    """The same weights with another graph radius, which is the unit of the features too."""
+def widened(simulator: Simulator, factor: float) -> Simulator:
+    """The same weights with a graph radius, which is the unit of the features, or a grid wider.
+
+    Args:
+        simulator: The model.
+        factor: New over trained length.
+    """
     config = simulator.config
-    changed = Simulator(replace(config, graph=replace(config.graph, radius=radius)))
+    graph = replace(config.graph, radius=factor * config.graph.radius)
+    grid = config.grid_stepper
+    if grid is not None:
+        grid = replace(grid, spacing=factor * grid.spacing)
+    changed = Simulator(replace(config, graph=graph, grid_stepper=grid))
     changed.load_state_dict(simulator.state_dict())
     return changed.eval().requires_grad_(False)
 
@@ -97,8 +106,7 @@ def _scored(
     """Scores of every trajectory at another number of samples."""
     config = simulator.config
     if factor < 1.0:
-        radius = config.graph.radius * factor ** (-1.0 / config.dimension)
-        simulator = at_radius(simulator, radius)
+        simulator = widened(simulator, factor ** (-1.0 / config.dimension))
     results = []
     for trajectory in trajectories:
         points = trajectory.position.shape[1]

@@ -217,10 +217,10 @@ def discretisation(models: Models) -> str:
             )
     text = (
         "## Other discretisations and shapes\n\nOne model, the same scenes for every number of "
-        "samples, and shapes that no training scene has. Fewer samples: graph radius and its unit "
-        "grow with the distance between samples; more samples: both as trained. The ratio is the "
-        "rollout error on all particles over that of the first row (the paper's Table 2: 4.5 at "
-        "4 x the samples).\n\n"
+        "samples, and shapes that no training scene has. Fewer samples: graph radius and its "
+        "unit, or grid, grow with the distance between samples; more samples: all as trained. "
+        "The ratio is the rollout error on all particles over that of the first row (the paper's "
+        "Table 2: 4.5 at 4 x the samples).\n\n"
     )
     header = ["model", "setting", "samples", "trajectories", "one step, all", "rollout, samples"]
     header += ["rollout, all", "ratio", "holding still"]

@@ -6,6 +6,7 @@ stand beside each. Kinematic particles follow the data in every prediction: they
 the means are over all particles, as in the paper.
 """
 
+from dataclasses import replace
 from typing import Any
 
 import torch
@@ -89,22 +90,32 @@ def one_step_errors(
 ) -> tuple[float, float]:
     """Mean squared error of one frame from the true state, on the samples and on all points.
 
+    What a time-stepper remembers beside positions is carried from frame to frame while the
+    positions it sees are the true ones.
+
     Source:
         The official definition (arXiv:2407.03925v2, appendix F): squared distance after one Euler
         step, without training noise.
     """
     history = simulator.config.features.history
     decode = simulator.decoder(trajectory.position[0], trajectory.kinematic, samples=samples)
-    sparse_errors, full_errors = [], []
-    for frame in range(history - 1, history - 1 + frames, ONE_STEP_STRIDE):
-        state = start_from_trajectory(trajectory, samples, history=history, frame=frame)
-        truth = trajectory.position[frame + 1 : frame + 2]
+    start = start_from_trajectory(trajectory, samples, history=history)
+    sparse_errors, full_errors, memory = [], [], None
+    for number in range(frames):
+        is_due = number % ONE_STEP_STRIDE == 0
+        if not is_due and memory is None:
+            continue
+        window = trajectory.position[number : number + history, samples]
+        state = replace(start, history=window.transpose(0, 1).contiguous(), memory=memory)
+        truth = trajectory.position[number + history : number + history + 1]
         with torch.no_grad():
-            edges = simulator.connect(state)
-            later = simulator.dynamics.step(state, edges, truth[0, samples]).position[None]
-        sparse_errors.append(squared_error_per_frame(later, truth[:, samples]))
-        full = _decoded(decode, later, trajectory.kinematic, truth)
-        full_errors.append(squared_error_per_frame(full, truth))
+            later = simulator.dynamics.step(state, simulator.connect(state), truth[0, samples])
+        memory = later.memory
+        if is_due:
+            moved = later.position[None]
+            sparse_errors.append(squared_error_per_frame(moved, truth[:, samples]))
+            full = _decoded(decode, moved, trajectory.kinematic, truth)
+            full_errors.append(squared_error_per_frame(full, truth))
     return float(torch.cat(sparse_errors).mean()), float(torch.cat(full_errors).mean())
 
 
