@@ -11,9 +11,9 @@ from giorom.version import __version__
 
 if TYPE_CHECKING:
     from giorom.config import Experiment, load_experiment
+    from giorom.fields import Field
     from giorom.graph import choose_radius, radius_edges
     from giorom.mpm import Scene, SceneConfig, SolverConfig, draw_scene, simulate
-    from giorom.neural_field import NeuralField
     from giorom.sampling import sample
     from giorom.simulator import Simulator
     from giorom.state import SparseState, Trajectory
@@ -31,7 +31,7 @@ _PLACES = {
     "radius_edges": "giorom.graph",
     "choose_radius": "giorom.graph",
     "TimeStepper": "giorom.time_stepper",
-    "NeuralField": "giorom.neural_field",
+    "Field": "giorom.fields",
     "Simulator": "giorom.simulator",
     "Experiment": "giorom.config",
     "load_experiment": "giorom.config",
@@ -39,7 +39,7 @@ _PLACES = {
 
 __all__ = [
     "Experiment",
-    "NeuralField",
+    "Field",
     "Scene",
     "SceneConfig",
     "Simulator",

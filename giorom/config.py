@@ -14,11 +14,11 @@ from typing import Any, Literal
 import yaml
 
 from giorom.features import FeatureConfig
+from giorom.fields import FieldConfig
 from giorom.graph import GraphConfig
 from giorom.grid_stepper import GridStepperConfig
 from giorom.mpm.scene_config import SceneConfig
 from giorom.mpm.simulate import SolverConfig
-from giorom.neural_field import NeuralFieldConfig
 from giorom.records import check_keys, nearest, one_line, parse_record
 from giorom.sampling import SamplingConfig
 from giorom.time_stepper import TimeStepperConfig
@@ -103,14 +103,14 @@ class Experiment:
     grid_stepper: GridStepperConfig | None = None
     """The coarse grid that moves the samples instead of the network; null: the network does."""
 
-    field: NeuralFieldConfig = default(default_factory=NeuralFieldConfig)
-    """The network that recovers all particles."""
+    field: FieldConfig = default(default_factory=FieldConfig)
+    """What recovers all particles."""
 
     training: TrainingConfig = default(default_factory=TrainingConfig)
     """How the time-stepper is trained."""
 
     field_training: FieldTrainingConfig = default(default_factory=FieldTrainingConfig)
-    """How the neural field is trained."""
+    """How the field is trained, if it learns."""
 
 
 def preset_names() -> list[str]:

@@ -275,7 +275,8 @@ def train(
     )
     if interrupted:
         training.resume()
-    minutes = None if budget.minutes is None else (1.0 - 2.0 * PRELUDE) * budget.minutes
+    preludes = 1 + simulator.field.learns
+    minutes = None if budget.minutes is None else (1.0 - preludes * PRELUDE) * budget.minutes
     run = train_stepper(
         training,
         replace(budget, minutes=minutes),
@@ -351,9 +352,11 @@ def _train_field(
     seed: int,
     report: Report,
 ) -> None:
-    """Train the field, or load the one the run has already finished."""
+    """Train the field if it learns, or load the one the run has already finished."""
     from safetensors.torch import load_file, save_file
 
+    if not simulator.field.state_dict():
+        return
     done = out / "field.safetensors"
     if done.is_file():
         simulator.field.load_state_dict(load_file(done))

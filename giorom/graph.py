@@ -192,10 +192,16 @@ def concatenate_edges(edges: list[Edges]) -> Edges:
 
 def component_count(position: Float[Tensor, "q d"], radius: float) -> int:
     """Number of connected components of the radius graph of one scene."""
+    return int(component_labels(position, radius).max()) + 1 if len(position) else 0
+
+
+def component_labels(position: Float[Tensor, "q d"], radius: float) -> Int[Tensor, " q"]:
+    """Connected component of the radius graph of one scene that each particle belongs to."""
     # Particles at one place are one component; all pairs of them would fill the memory.
-    places = np.unique(position.detach().cpu().double().numpy(), axis=0)
-    graph = _distance_graph(places, radius)
-    return int(connected_components(graph, directed=False)[0])
+    points = position.detach().cpu().double().numpy()
+    places, place = np.unique(points, axis=0, return_inverse=True)
+    labels = connected_components(_distance_graph(places, radius), directed=False)[1]
+    return torch.from_numpy(labels[place.reshape(-1)].astype(np.int64))
 
 
 def nearest_points(

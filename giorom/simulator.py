@@ -18,11 +18,11 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 
 from giorom.features import FeatureConfig
+from giorom.fields import FieldConfig, FieldDecoder, build_field
 from giorom.graph import GraphConfig
 from giorom.grid_stepper import GridStepper, GridStepperConfig
 from giorom.mpm.scene_config import SceneConfig
 from giorom.mpm.simulate import SolverConfig
-from giorom.neural_field import FieldDecoder, NeuralField, NeuralFieldConfig
 from giorom.normalization import Normalization
 from giorom.pipeline import (
     Connect,
@@ -44,8 +44,8 @@ PRETRAINED = Path(__file__).parent / "pretrained"
 MOST_RESULT_BYTES = 64 << 30
 """Largest result kept in memory [bytes]; refused before the first frame."""
 
-FORMAT_VERSION = 1
-"""Version of the stored form."""
+FORMAT_VERSION = 2
+"""Version of the stored form; version 1 knew the neural basis alone."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,7 +76,7 @@ class SimulatorConfig:
     normalization: Normalization
     """Scales of the training data."""
 
-    field: NeuralFieldConfig
+    field: FieldConfig
     """Stage 6."""
 
     scene: SceneConfig
@@ -129,7 +129,7 @@ class SimulatorConfig:
 
 
 class Simulator(nn.Module):
-    """Time-stepper and neural field with all they need to run.
+    """Time-stepper and field with all they need to run.
 
     Args:
         config: Everything but the weights.
@@ -141,7 +141,7 @@ class Simulator(nn.Module):
             raise ValueError("SimulatorConfig.graph.radius must be set; choose_radius finds one.")
         self.config = config
         self.dynamics = _stepper(config)
-        self.field = NeuralField(config.field, dimension=config.dimension)
+        self.field = build_field(config.field, dimension=config.dimension)
 
     @property
     def connect(self) -> Connect:
@@ -200,7 +200,12 @@ class Simulator(nn.Module):
         samples: Int[Tensor, " q"],
     ) -> FieldDecoder:
         """Stage 6 bound to a body and its samples; ``held`` points never move."""
-        return FieldDecoder(self.field, position[samples], position, held=held)
+        return self.field.bind(
+            position[samples],
+            position,
+            held=held,
+            bounds=position.new_tensor(self.config.bounds),
+        )
 
     def frames(
         self,
@@ -382,5 +387,7 @@ def _read_config(path: Path) -> SimulatorConfig:
             f"{path} has format version {found!r}, this program reads 1 to {FORMAT_VERSION}. "
             f"Install a newer giorom."
         )
+    if found == 1 and isinstance(record.get("field"), dict):
+        record["field"] = {"kind": "neural_basis", "neural_basis": record["field"]}
     record.pop("giorom", None)
     return parse_record(SimulatorConfig, record, where=str(path))

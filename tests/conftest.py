@@ -50,7 +50,7 @@ TINY: dict[str, Any] = {
             "gno_out_hidden": [8],
         }
     },
-    "field": {"modes": 4, "width": 16, "depth": 2},
+    "field": {"neural_basis": {"modes": 4, "width": 16, "depth": 2}},
     "training": {
         "batch_size": 2,
         "learning_rate": 1.0e-3,

@@ -31,7 +31,7 @@ def test_run_of_another_configuration_is_not_resumed(
     """Network, training and seed decide what is learnt; each must be the same."""
     experiment, seed = tiny, 0
     if change == "network":
-        experiment = replace(tiny, field=replace(tiny.field, modes=5))
+        experiment = replace(tiny, field=replace(tiny.field, kind="local"))
     elif change == "training":
         experiment = replace(tiny, training=replace(tiny.training, learning_rate=2e-3))
     else:
@@ -130,3 +130,26 @@ def test_windows_hold_training_trajectories_alone(tiny, data_folder):
     seeds = {t.motion.attributes["seed"] for t in data.windows.trajectories}
     assert seeds == {t.attributes["seed"] for t in train}
     assert seeds.isdisjoint({t.motion.attributes["seed"] for t in data.validation})
+
+
+def test_field_without_weights_is_not_trained(tiny, data_folder, run_training, tmp_path):
+    """The run has no stage of the field, and the stored simulator recovers all particles."""
+    stages = []
+    experiment = replace(tiny, field=replace(tiny.field, kind="local"))
+    run_training(
+        experiment,
+        data_folder,
+        tmp_path / "run",
+        steps=2,
+        report=lambda stage, numbers: stages.append(stage),
+    )
+    assert "time_stepper" in stages
+    assert "field" not in stages
+    assert not (tmp_path / "run" / "field.safetensors").exists()
+    simulator = Simulator.from_pretrained(tmp_path / "run")
+    body = next(iterate_trajectories(data_folder, "valid"))
+    samples = simulator.sample(body.position[0])
+    decode = simulator.decoder(body.position[0], body.kinematic, samples=samples)
+    found = decode(body.position[-1, samples])
+    still = float((body.position[0] - body.position[-1]).square().sum())
+    assert float((found - body.position[-1]).square().sum()) < 0.01 * still

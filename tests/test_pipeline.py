@@ -7,8 +7,8 @@ import torch
 from torch import Tensor
 
 from giorom import pipeline
+from giorom.fields.neural_basis import NeuralField, NeuralFieldConfig
 from giorom.graph import Edges
-from giorom.neural_field import FieldDecoder, NeuralField, NeuralFieldConfig
 from giorom.pipeline import (
     connect_within,
     full_order_rollout,
@@ -73,7 +73,7 @@ def test_oracles_reproduce_free_fall_of_every_point(dimension, configuration):
         100,
         connect=connect_within(0.4, configuration=configuration),
         step=integrated(falling),
-        decode=FieldDecoder(translating_field(dimension), body[samples], body),
+        decode=translating_field(dimension).bind(body[samples], body),
     )
     gravity = body.new_tensor(GRAVITY[:dimension])
     frames = 0

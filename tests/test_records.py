@@ -7,8 +7,8 @@ from typing import Literal
 import pytest
 
 from giorom.features import FeatureConfig
+from giorom.fields.neural_basis import NeuralFieldConfig
 from giorom.graph import GraphConfig
-from giorom.neural_field import NeuralFieldConfig
 from giorom.normalization import Normalization
 from giorom.records import nearest, parse_record, record_type
 from giorom.sampling import SamplingConfig

@@ -49,6 +49,21 @@ def test_stored_and_loaded_simulator_rolls_out_the_same(simulator, scene, tmp_pa
     assert torch.equal(first.position, second.position)
 
 
+def test_model_of_the_first_stored_form_is_the_same_model(simulator, stored, scene):
+    """Version 1 had the values of the neural basis, the one field it knew, in ``field`` itself."""
+
+    def downgrade(record):
+        record["format_version"] = 1
+        record["field"] = record["field"]["neural_basis"]
+
+    edit(stored, downgrade)
+    other = Simulator.from_pretrained(stored)
+    assert other.config == simulator.config
+    arguments = (scene.position, scene.velocity, scene.particle_type)
+    first, second = (s.rollout(*arguments, frames=2) for s in (simulator, other))
+    assert torch.equal(first.position, second.position)
+
+
 def test_run_folder_and_simulator_folder_name_the_same_model(run_folder):
     """``giorom rollout R`` takes the folder of the run."""
     inner = Simulator.from_pretrained(run_folder / "simulator")
@@ -122,14 +137,14 @@ def test_damaged_weights_are_refused_in_one_line(stored, damage):
 
 def test_weights_of_another_shape_are_refused(stored):
     """config.json and the weights belong together."""
-    edit(stored, lambda record: record["field"].update(modes=9))
+    edit(stored, lambda record: record["field"]["neural_basis"].update(modes=9))
     assert "does not hold the weights that config.json describes" in refused(stored)
 
 
 @pytest.mark.parametrize(
     ("change", "text"),
     [
-        (lambda record: record.update(format_version=2), "format version 2"),
+        (lambda record: record.update(format_version=3), "format version 3"),
         (lambda record: record.pop("format_version"), "format version None"),
         (lambda record: record.update(shape=1), "no field 'shape'"),
         (lambda record: record["time_stepper"].update(hiddn=1), "'hidden'"),

@@ -1,4 +1,8 @@
-"""Training of the neural field by variable projection (equation 11)."""
+"""Training of a field: what follows in closed form, then gradient descent on its loss.
+
+The neural basis learns by variable projection (equation 11). A field without parameters takes no
+step.
+"""
 
 import math
 import time
@@ -10,13 +14,13 @@ import torch
 from torch import Tensor
 
 from giorom.data.windows import random_turn, step_generator
-from giorom.neural_field import NeuralField, projection_loss
+from giorom.fields import Field
 from giorom.state import Trajectory
 
 
 @dataclass(frozen=True, kw_only=True)
 class FieldTrainingConfig:
-    """How the neural field is trained."""
+    """How a field that learns is trained."""
 
     learning_rate: float = 2e-3
     """Learning rate at the start; a cosine takes it to zero."""
@@ -31,7 +35,7 @@ class FieldTrainingConfig:
     """Frames per step."""
 
     samples: int = 200
-    """Points that determine the coefficients."""
+    """Points that play the part of the samples."""
 
     queries: int = 600
     """Points on which the error is measured."""
@@ -60,7 +64,7 @@ def thin(trajectory: Trajectory, config: FieldTrainingConfig, *, seed: int) -> T
 
 
 def train_field(
-    field: NeuralField,
+    field: Field,
     trajectories: list[Trajectory],
     config: FieldTrainingConfig,
     *,
@@ -69,7 +73,7 @@ def train_field(
     report: Callable[[dict[str, Any]], None],
     turn: bool = False,
 ) -> dict[str, Any]:
-    """Fit the basis to the training trajectories.
+    """Fit a field to the training trajectories.
 
     Args:
         field: Field to train, in place.
@@ -81,19 +85,21 @@ def train_field(
         turn: Turn bodies about the vertical at random.
 
     Returns:
-        Steps, seconds and the smoothed relative error.
+        Steps, seconds and, if there was anything to learn, the smoothed relative error.
     """
-    field.set_domain(torch.cat([t.position[0] for t in trajectories]))
-    optimizer = torch.optim.Adam(field.parameters())
     start, step, mean = time.perf_counter(), 0, math.nan
+    field.prepare(trajectories)
+    if not field.learns:
+        return {"steps": 0, "seconds": time.perf_counter() - start}
+    optimizer = torch.optim.Adam(field.parameters())
     while True:
         share = max(step / config.steps, (time.perf_counter() - start) / (60.0 * minutes))
         if share >= 1.0:
             break
         generator = step_generator(seed, step)
         reference, displacement = _draw(trajectories, config, generator, turn=turn)
-        loss = projection_loss(
-            field, reference, displacement, solve_count=min(config.samples, len(reference) // 2)
+        loss = field.loss(
+            reference, displacement, solve_count=min(config.samples, len(reference) // 2)
         )
         for group in optimizer.param_groups:
             group["lr"] = config.learning_rate * 0.5 * (1.0 + math.cos(math.pi * share))

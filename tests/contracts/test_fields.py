@@ -1,68 +1,33 @@
 """What every field must satisfy, whatever it is made of.
 
-A field joins with one line in ``FIELDS``: a factory that takes the space dimension and returns a
-module from reference points (p d) to basis vectors (p d r).
+A kind joins with one line in ``SETTINGS``: small settings with which it trains in a moment on a few
+bending squares or cubes.
 """
 
-from collections.abc import Callable
+from typing import Any, get_args
 
 import pytest
 import safetensors.torch
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
-from giorom.neural_field import FieldDecoder, NeuralField, NeuralFieldConfig, projection_loss
+from giorom.fields import Field, FieldConfig, FieldKind, build_field
+from giorom.records import parse_record
+from giorom.state import Trajectory
+from giorom.training.field_loop import FieldTrainingConfig, train_field
 
-
-def elu(dimension: int) -> NeuralField:
-    """The published activation."""
-    return NeuralField(NeuralFieldConfig(modes=6, width=12, depth=2), dimension=dimension)
-
-
-def sine(dimension: int) -> NeuralField:
-    """Sine activation."""
-    config = NeuralFieldConfig(modes=6, width=12, depth=2, activation="sine")
-    return NeuralField(config, dimension=dimension)
-
-
-def translating(dimension: int) -> NeuralField:
-    """The first modes of this field are the axes, the others are free."""
-    field = elu(dimension)
-    weight = field.output.weight.data.unflatten(0, (dimension, 6))
-    bias = field.output.bias.data.unflatten(0, (dimension, 6))
-    weight[:, :dimension] = 0.0
-    bias[:, :dimension] = torch.eye(dimension)
-    return field
-
-
-FIELDS: dict[str, Callable[[int], nn.Module]] = {
-    "elu": elu,
-    "sine": sine,
-    "translating": translating,
+SETTINGS: dict[str, dict[str, Any]] = {
+    "neural_basis": {"modes": 6, "width": 12, "depth": 2},
+    "local": {},
 }
 
-TRANSLATING = {"translating"}
-"""Fields whose basis holds the rigid translations."""
+TRANSLATES = {"local": 1e-10}
+"""Kinds that move every point along with a rigid translation, and to which error [m]."""
 
+TURNS = {"local": 1e-10}
+"""Kinds that reproduce affine motions, rotations among them, and to which error [m]."""
 
-@pytest.fixture(params=[f"{name}-{d}d" for name in FIELDS for d in (2, 3)])
-def case(request: pytest.FixtureRequest) -> tuple[str, int]:
-    """Name of the field and space dimension."""
-    name, dimension = request.param.split("-")
-    return name, int(dimension[0])
-
-
-@pytest.fixture
-def dimension(case: tuple[str, int]) -> int:
-    """Space dimension."""
-    return case[1]
-
-
-@pytest.fixture
-def field(case: tuple[str, int]) -> nn.Module:
-    """A field in float64."""
-    torch.manual_seed(0)
-    return FIELDS[case[0]](case[1]).double()
+TRAINING = FieldTrainingConfig(steps=3, frames=3, samples=20, queries=40)
 
 
 def cloud(count: int, dimension: int, seed: int = 0) -> Tensor:
@@ -71,107 +36,201 @@ def cloud(count: int, dimension: int, seed: int = 0) -> Tensor:
     return torch.rand(count, dimension, generator=generator, dtype=torch.float64)
 
 
-def test_basis_vectors_belong_to_points_one_by_one(field, dimension):
-    """U of a permuted, split or single point is the same vector: points do not mix."""
-    points = cloud(40, dimension)
-    basis, order = field(points), torch.randperm(40, generator=torch.Generator().manual_seed(1))
-    assert basis.shape[:2] == (40, dimension)
-    torch.testing.assert_close(field(points[order]), basis[order], rtol=0, atol=1e-13)
-    parts = torch.cat([field(part) for part in points.split(7)])
-    torch.testing.assert_close(parts, basis, rtol=0, atol=1e-13)
+def bend(reference: Tensor, amount: float) -> Tensor:
+    """A smooth motion that is not affine."""
+    height = reference[:, 1:2]
+    shift = torch.cat([height.square(), 0.3 * height * reference[:, :1]], dim=1)
+    moved = reference.clone()
+    moved[:, :2] += amount * shift
+    return moved
+
+
+def motion(dimension: int, seed: int) -> Trajectory:
+    """One body that bends."""
+    points = cloud(80, dimension, seed)
+    return Trajectory(
+        position=torch.stack([bend(points, 0.05 * frame) for frame in range(5)]),
+        particle_type=torch.full((80,), 8),
+        frame_dt=0.01,
+        bounds=torch.tensor([[-1.0, 2.0]] * dimension, dtype=torch.float64),
+    )
+
+
+def make(kind: str, dimension: int, seed: int = 0) -> Field:
+    """An untrained field in float64."""
+    torch.manual_seed(seed)
+    values = {"kind": kind, kind: SETTINGS[kind]}
+    config = parse_record(FieldConfig, values, where="test")
+    return build_field(config, dimension=dimension).double()
+
+
+@pytest.fixture(scope="module", params=[f"{kind}-{d}d" for kind in SETTINGS for d in (2, 3)])
+def case(request: pytest.FixtureRequest) -> tuple[str, int, Field]:
+    """Name of the kind, space dimension, and a field after a few steps of training."""
+    kind, dimension = request.param.split("-")
+    field = make(kind, int(dimension[0]))
+    motions = [motion(field.dimension, seed) for seed in (5, 6)]
+    result = train_field(field, motions, TRAINING, seed=0, minutes=1.0, report=lambda numbers: None)
+    assert result["steps"] == (3 if field.learns else 0)
+    return kind, field.dimension, field.requires_grad_(False)
+
+
+@pytest.fixture
+def kind(case: tuple[str, int, Field]) -> str:
+    """Name of the kind."""
+    return case[0]
+
+
+@pytest.fixture
+def dimension(case: tuple[str, int, Field]) -> int:
+    """Space dimension."""
+    return case[1]
+
+
+@pytest.fixture
+def field(case: tuple[str, int, Field]) -> Field:
+    """A field in float64."""
+    return case[2]
+
+
+def test_every_kind_is_tested():
+    """A kind that can be chosen is held to the contract."""
+    assert set(SETTINGS) == set(get_args(FieldKind))
 
 
 def test_permuting_the_query_permutes_the_motion(field, dimension):
     """Each point is recovered on its own."""
     samples, query = cloud(30, dimension), cloud(50, dimension, seed=1)
     order = torch.randperm(50, generator=torch.Generator().manual_seed(1))
-    moved = samples + 0.1 * cloud(30, dimension, seed=2)
-    expected = FieldDecoder(field, samples, query)(moved)[order]
-    found = FieldDecoder(field, samples, query[order])(moved)
+    moved = bend(samples, 0.2)
+    expected = field.bind(samples, query)(moved)[order]
+    found = field.bind(samples, query[order])(moved)
+    assert found.shape == (50, dimension)
     torch.testing.assert_close(found, expected, rtol=0, atol=1e-12)
 
 
 def test_permuting_the_samples_changes_nothing(field, dimension):
-    """The samples are a set; rounding over the ridge, 1e-16 / 1e-8, is what may differ."""
+    """The samples are a set; rounding over the ridge of a basis, 1e-16 / 1e-8, may differ."""
     samples, query = cloud(30, dimension), cloud(50, dimension, seed=1)
     order = torch.randperm(30, generator=torch.Generator().manual_seed(1))
-    moved = samples + 0.1 * cloud(30, dimension, seed=2)
-    expected = FieldDecoder(field, samples, query)(moved)
-    found = FieldDecoder(field, samples[order], query)(moved[order])
+    moved = bend(samples, 0.2)
+    expected = field.bind(samples, query)(moved)
+    found = field.bind(samples[order], query)(moved[order])
     torch.testing.assert_close(found, expected, rtol=0, atol=1e-7)
 
 
-def test_evaluating_in_chunks_changes_nothing(field, dimension):
-    """Chunks bound the memory and no more."""
+def test_the_same_frames_give_the_same_motion(field, dimension):
+    """Bit for bit: from a new decoder, from one that was restarted, and from a branch."""
     samples, query = cloud(30, dimension), cloud(50, dimension, seed=1)
-    moved = samples + 0.1 * cloud(30, dimension, seed=2)
-    expected = FieldDecoder(field, samples, query)(moved)
-    for chunk in (1, 7, 50):
-        found = FieldDecoder(field, samples, query, chunk=chunk)(moved)
-        torch.testing.assert_close(found, expected, rtol=0, atol=1e-12)
+    frames = [bend(samples, amount) for amount in (0.1, 0.3, 0.2)]
+    decode, other = field.bind(samples, query), field.bind(samples, query)
+    first = torch.stack([decode(frame) for frame in frames])
+    assert torch.equal(torch.stack([other(frame) for frame in frames]), first)
+    decode.restart()
+    assert torch.equal(torch.stack([decode(frame) for frame in frames]), first)
+    if not decode.remembers:
+        assert torch.equal(decode(frames[0]), first[0])
 
 
 def test_a_body_at_rest_stays_at_rest(field, dimension):
     """No displacement of the samples, none of any point: phi(X) = X."""
     samples, query = cloud(30, dimension), cloud(50, dimension, seed=1)
-    assert torch.equal(FieldDecoder(field, samples, query)(samples), query)
+    decode = field.bind(samples, query)
+    for _ in range(3):
+        assert torch.equal(decode(samples), query)
 
 
-def test_a_motion_in_the_span_is_recovered_at_samples_and_elsewhere(field, dimension):
-    """U = U q at the samples gives U q everywhere, up to the ridge (1e-8)."""
-    samples, query = cloud(30, dimension), cloud(50, dimension, seed=1)
-    generator = torch.Generator().manual_seed(3)
-    basis, at_query = field(samples).detach(), field(query).detach()
-    wanted = 0.1 * torch.randn(basis.shape[2], generator=generator, dtype=torch.float64)
-    for points, expected in ((samples, basis), (query, at_query)):
-        found = FieldDecoder(field, samples, points)(samples + basis @ wanted)
-        torch.testing.assert_close(found, points + expected @ wanted, rtol=0, atol=1e-5)
-
-
-def test_a_rigid_translation_is_reproduced_where_the_basis_can(case, field, dimension):
-    """Every point moves as the samples do, up to the ridge (1e-8)."""
-    if case[0] not in TRANSLATING:
-        pytest.skip("the basis holds no translation")
+def test_a_rigid_translation_is_reproduced_where_promised(kind, field, dimension):
+    """Every point moves as the samples do."""
+    if kind not in TRANSLATES:
+        pytest.skip("a learned basis need not hold the translations")
     samples, query = cloud(30, dimension), cloud(50, dimension, seed=1)
     shift = torch.arange(1.0, dimension + 1.0, dtype=torch.float64)
-    found = FieldDecoder(field, samples, query)(samples + shift)
-    torch.testing.assert_close(found, query + shift, rtol=0, atol=1e-5)
+    decode = field.bind(samples, query)
+    for part in (0.3, 1.0):
+        found = decode(samples + part * shift)
+        torch.testing.assert_close(found, query + part * shift, rtol=0, atol=TRANSLATES[kind])
 
 
-def test_gradients_are_finite_and_reach_every_parameter(field, dimension):
-    """Through the least squares of the training loss."""
-    motion = torch.stack([cloud(60, dimension, seed=seed) - 0.5 for seed in range(1, 4)])
-    projection_loss(field, cloud(60, dimension), motion, solve_count=30).backward()
+def test_affine_motions_are_reproduced_where_promised(kind, field, dimension):
+    """X -> A X + b, for a rotation and for a shear."""
+    if kind not in TURNS:
+        pytest.skip("does not promise affine motions")
+    samples, query = cloud(40, dimension), cloud(50, dimension, seed=1)
+    shear = torch.eye(dimension, dtype=torch.float64)
+    shear[0, 1] = 0.7
+    generator = torch.Generator().manual_seed(3)
+    turn = torch.randn(dimension, dimension, generator=generator, dtype=torch.float64)
+    for matrix in (torch.linalg.qr(turn).Q, shear):
+        found = field.bind(samples, query)(samples @ matrix.T + 0.5)
+        torch.testing.assert_close(found, query @ matrix.T + 0.5, rtol=0, atol=TURNS[kind])
+
+
+def test_held_points_stay_where_they_are_to_the_last_bit(field, dimension):
+    """Whatever the samples do; the others are decoded as without."""
+    samples, query = cloud(30, dimension), cloud(50, dimension, seed=1)
+    held = torch.arange(50) % 3 == 0
+    free, fixed = field.bind(samples, query), field.bind(samples, query, held=held)
+    for amount in (0.1, 0.2):
+        moved = bend(samples, amount)
+        expected, found = free(moved), fixed(moved)
+        assert torch.equal(found[held], query[held])
+        assert torch.equal(found[~held], expected[~held])
+
+
+def test_gradients_are_finite_and_reach_every_parameter(kind, dimension):
+    """Those of the training loss, after the domain has been set."""
+    field = make(kind, dimension)
+    if not field.learns:
+        with pytest.raises(NotImplementedError, match="nothing to train"):
+            field.loss(cloud(9, dimension), cloud(9, dimension)[None], solve_count=4)
+        return
+    field.prepare([motion(dimension, 5)])
+    points = cloud(60, dimension)
+    moved = torch.stack([bend(points, amount) - points for amount in (0.1, 0.2, 0.4)])
+    moved = moved + 0.05 * (cloud(60, dimension, seed=2) - 0.5)
+    field.loss(points, moved, solve_count=30).backward()
     for name, parameter in field.named_parameters():
         assert parameter.grad is not None, name
         assert parameter.grad.isfinite().all(), name
         assert parameter.grad.any(), name
 
 
-def test_saved_and_loaded_weights_give_the_same_basis(case, field, dimension, tmp_path):
+def test_saved_and_loaded_weights_give_the_same_motion(kind, field, dimension, tmp_path):
     """The state dict is the whole field, its domain included."""
-    points = cloud(30, dimension)
-    field.set_domain(3.0 * points)
     safetensors.torch.save_file(field.state_dict(), tmp_path / "field.safetensors")
-    torch.manual_seed(1)
-    other = FIELDS[case[0]](dimension).double()
+    other = make(kind, dimension, seed=1)
     other.load_state_dict(safetensors.torch.load_file(tmp_path / "field.safetensors"))
-    assert torch.equal(other(points), field(points))
+    samples, query = cloud(30, dimension), cloud(50, dimension, seed=1)
+    moved = bend(samples, 0.2)
+    found, expected = (f.bind(samples, query)(moved) for f in (other, field))
+    assert torch.equal(found, expected)
 
 
 def test_the_input_is_not_changed(field, dimension):
     """Neither the samples, nor the query, nor the positions."""
     samples, query, moved = (cloud(30, dimension, seed=seed) for seed in range(3))
-    FieldDecoder(field, samples, query, held=torch.arange(30) < 5)(moved)
+    field.bind(samples, query, held=torch.arange(30) < 5)(moved)
     for seed, used in enumerate((samples, query, moved)):
         assert torch.equal(used, cloud(30, dimension, seed=seed))
 
 
-def test_the_output_has_the_precision_of_the_field(field, dimension):
-    """Single precision differs from double by rounding over the conditioning of the basis."""
+def test_the_output_has_the_precision_of_the_input(kind, field, dimension):
+    """Single precision differs from double by rounding over the conditioning of a basis."""
     samples, query = cloud(30, dimension), cloud(50, dimension, seed=1)
-    moved = samples + 0.1 * (cloud(30, dimension, seed=2) - 0.5)
-    double = FieldDecoder(field, samples, query)(moved)
-    single = FieldDecoder(field.float(), samples.float(), query.float())(moved.float())
-    assert (double.dtype, single.dtype) == (torch.float64, torch.float32)
-    torch.testing.assert_close(single.double(), double, rtol=0, atol=1e-3)
+    moved = bend(samples, 0.2)
+    double = field.bind(samples, query)(moved)
+    single = make(kind, dimension)
+    single.load_state_dict(field.state_dict())
+    decode = single.float().bind(samples.float(), query.float())
+    found = decode(moved.float())
+    assert (double.dtype, found.dtype) == (torch.float64, torch.float32)
+    torch.testing.assert_close(found.double(), double, rtol=0, atol=1e-3)
+
+
+def test_too_few_samples_are_refused_in_one_line(field, dimension):
+    """The line says how many there are."""
+    samples, query = cloud(1, dimension), cloud(50, dimension, seed=1)
+    with pytest.raises(ValueError, match=r"at least \d samples.*got 1") as caught:
+        field.bind(samples, query)
+    assert "\n" not in str(caught.value)

@@ -4,8 +4,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from giorom.neural_field import (
-    FieldDecoder,
+from giorom.fields.neural_basis import (
+    BasisDecoder,
     NeuralField,
     NeuralFieldConfig,
     SampleSolver,
@@ -56,7 +56,7 @@ def test_the_decoded_motion_does_not_depend_on_the_samples():
     expected = query + displaced(model, query, wanted)[0]
     for count, seed in ((8, 1), (150, 2)):
         points = cloud(count, seed)
-        decode = FieldDecoder(model, points, query)
+        decode = model.bind(points, query)
         moved = decode(points + displaced(model, points, wanted)[0])
         torch.testing.assert_close(moved, expected, rtol=0, atol=1e-8)
 
@@ -129,7 +129,7 @@ def test_the_loss_is_the_relative_error_of_the_held_back_points():
     model, points = field(), cloud(60)
     generator = torch.Generator().manual_seed(3)
     motion = torch.randn(4, 60, 2, generator=generator, dtype=torch.float64)
-    decode = FieldDecoder(model, points[:20], points[20:])
+    decode = model.bind(points[:20], points[20:])
     expected = 0.0
     for frame in motion:
         error = decode(points[:20] + frame[:20]) - points[20:] - frame[20:]
@@ -174,8 +174,8 @@ def test_held_points_stay_where_they_are_to_the_last_bit():
     model, query, samples = field(), cloud(50, seed=3), cloud(20)
     held = torch.arange(50) % 3 == 0
     moved = samples + 0.1 * cloud(20, seed=4)
-    free = FieldDecoder(model, samples, query)(moved)
-    found = FieldDecoder(model, samples, query, held=held)(moved)
+    free = model.bind(samples, query)(moved)
+    found = model.bind(samples, query, held=held)(moved)
     assert torch.equal(found[held], query[held])
     assert torch.equal(found[~held], free[~held])
 
@@ -186,6 +186,36 @@ def test_the_domain_is_standardised():
     points = cloud(500)
     far.set_domain(points * 1000.0 + 7.0)
     torch.testing.assert_close(far(points * 1000.0 + 7.0), near(points), rtol=0, atol=1e-10)
+
+
+def test_basis_vectors_belong_to_points_one_by_one():
+    """U of permuted or split points is the same vector: points do not mix."""
+    model, points = field(), cloud(40)
+    basis, order = model(points), torch.randperm(40, generator=torch.Generator().manual_seed(1))
+    assert basis.shape == (40, 2, 5)
+    torch.testing.assert_close(model(points[order]), basis[order], rtol=0, atol=1e-13)
+    parts = torch.cat([model(part) for part in points.split(7)])
+    torch.testing.assert_close(parts, basis, rtol=0, atol=1e-13)
+
+
+def test_evaluating_in_chunks_changes_nothing():
+    """Chunks bound the memory and no more."""
+    model, samples, query = field(), cloud(30), cloud(50, seed=1)
+    moved = samples + 0.1 * cloud(30, seed=2)
+    expected = model.bind(samples, query)(moved)
+    for chunk in (1, 7, 50):
+        found = BasisDecoder(model, samples, query, ridge=0.0, chunk=chunk)(moved)
+        torch.testing.assert_close(found, expected, rtol=0, atol=1e-9)
+
+
+def test_a_basis_that_holds_the_translations_translates():
+    """The first modes are the axes; every point moves as the samples do, up to the ridge."""
+    model = field(6, ridge=1e-8)
+    model.output.weight.data.unflatten(0, (2, 6))[:, :2] = 0.0
+    model.output.bias.data.unflatten(0, (2, 6))[:, :2] = torch.eye(2, dtype=torch.float64)
+    samples, query, shift = cloud(30), cloud(50, seed=1), torch.tensor([1.0, 2.0]).double()
+    found = model.bind(samples, query)(samples + shift)
+    torch.testing.assert_close(found, query + shift, rtol=0, atol=1e-5)
 
 
 @pytest.mark.parametrize(

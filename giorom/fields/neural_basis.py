@@ -1,6 +1,6 @@
-"""Recover the motion of any material point from the motion of the samples.
+"""A linear basis over the undeformed body as a neural field.
 
-Stage 6 of the pipeline. A neural field U(X) gives ``modes`` displacement vectors at every point X
+The field of the paper. A neural field U(X) gives ``modes`` displacement vectors at every point X
 of the undeformed body, and the motion is phi(X) = X + U(X) q. The coefficients q of a frame follow
 from the samples by least squares; for a fixed set of samples the normal matrix never changes, so
 one Cholesky factorisation serves a whole trajectory.
@@ -8,13 +8,17 @@ one Cholesky factorisation serves a whole trajectory.
 The solve runs in float64 whatever the precision of the network.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Literal
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor, nn
+
+from giorom.fields.contract import Field, FieldDecoder
+from giorom.state import Trajectory
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,7 +51,7 @@ class NeuralFieldConfig:
             raise ValueError(f"NeuralFieldConfig.ridge must be >= 0, got {self.ridge!r}.")
 
 
-class NeuralField(nn.Module):
+class NeuralField(Field):
     """Basis functions U(X) on the reference body.
 
     Args:
@@ -63,8 +67,8 @@ class NeuralField(nn.Module):
     scale: Tensor
 
     def __init__(self, config: NeuralFieldConfig, *, dimension: int) -> None:
-        super().__init__()
-        self.config, self.dimension = config, dimension
+        super().__init__(dimension=dimension)
+        self.config = config
         self.register_buffer("center", torch.zeros(dimension))
         self.register_buffer("scale", torch.ones(dimension))
         widths = [dimension] + [config.width] * config.depth
@@ -88,6 +92,31 @@ class NeuralField(nn.Module):
                 torch.sin(value) if self.config.activation == "sine" else nn.functional.elu(value)
             )
         return self.output(value).unflatten(1, (self.dimension, self.config.modes))
+
+    def prepare(self, trajectories: list[Trajectory]) -> None:
+        """Standardise the input by the spread of the training bodies."""
+        self.set_domain(torch.cat([t.position[0] for t in trajectories]))
+
+    def loss(
+        self,
+        reference: Float[Tensor, "p d"],
+        displacement: Float[Tensor, "t p d"],
+        *,
+        solve_count: int,
+    ) -> Float[Tensor, ""]:
+        """Error of the projection; see ``projection_loss``."""
+        return projection_loss(self, reference, displacement, solve_count=solve_count)
+
+    def bind(
+        self,
+        reference: Float[Tensor, "q d"],
+        query: Float[Tensor, "p d"],
+        *,
+        held: Bool[Tensor, " p"] | None = None,
+        bounds: Float[Tensor, "d 2"] | None = None,  # noqa: ARG002
+    ) -> FieldDecoder:
+        """The decoder of one body; see ``Field.bind``."""
+        return BasisDecoder(self, reference, query, ridge=self.config.ridge, held=held)
 
 
 class SampleSolver:
@@ -123,39 +152,38 @@ class SampleSolver:
         return torch.cholesky_solve(columns, self.factor).T.reshape(right.shape)
 
 
-class FieldDecoder:
-    """A field bound to one set of samples and one set of query points.
+class BasisDecoder(FieldDecoder):
+    """A basis at one set of samples and one set of query points.
 
     Args:
-        field: The neural field.
+        field: Basis vectors (p d r) at reference points (p d).
         reference: Undeformed positions of the samples [m].
         query: Undeformed positions of the points to recover [m].
+        ridge: Regularisation of the normal equations.
         held: Query points that never move; by default none.
         chunk: Query points per evaluation of the field; bounds the memory.
     """
 
     def __init__(
         self,
-        field: NeuralField,
+        field: Callable[[Tensor], Tensor],
         reference: Float[Tensor, "q d"],
         query: Float[Tensor, "p d"],
         *,
-        held: Tensor | None = None,
+        ridge: float,
+        held: Bool[Tensor, " p"] | None = None,
         chunk: int = 65536,
     ) -> None:
+        super().__init__(reference, query, held=held)
         with torch.no_grad():
-            self.solver = SampleSolver(field(reference), ridge=field.config.ridge)
+            self.solver = SampleSolver(field(reference), ridge=ridge)
             rows = [field(part).flatten(0, 1) for part in query.split(chunk)]
         self.basis = torch.cat(rows)
-        self.reference, self.query, self.held = reference, query, held
 
-    def __call__(self, position: Float[Tensor, "q d"]) -> Float[Tensor, "p d"]:
-        """Positions of all query points from those of the samples (equation 5) [m]."""
+    def recover(self, position: Float[Tensor, "q d"]) -> Float[Tensor, "p d"]:
+        """X + U(X) q (equation 5)."""
         coefficients = self.solver.solve(position - self.reference).to(self.basis.dtype)
-        displacement = (self.basis @ coefficients).reshape(self.query.shape)
-        if self.held is not None:
-            displacement = displacement.masked_fill(self.held[:, None], 0.0)
-        return self.query + displacement
+        return self.query + (self.basis @ coefficients).reshape(self.query.shape)
 
 
 def projection_loss(
