@@ -15,6 +15,7 @@ from giorom.experiment import (
     load_training_data,
     padded_bounds,
 )
+from giorom.simulator import Simulator
 from giorom.state import Trajectory
 
 
