@@ -4,12 +4,16 @@ import copy
 import itertools
 import json
 import math
+import shutil
 
 import pytest
 
+from benchmarks.accuracy.__main__ import main as measure
 from benchmarks.accuracy.report import page, write_report
 from benchmarks.accuracy.requirements import Verdict, verdicts
+from giorom.evaluation.catalogue import catalogue
 from giorom.evaluation.paper import paper_values
+from giorom.generate.held_out import HELD_OUT_SEED
 
 CLAMPED = {"family": "clamped", "material": "stable_neo_hookean", "mixture": []}
 THROWN = {"family": "thrown", "material": "weakly_compressible_fluid", "mixture": []}
@@ -218,3 +222,27 @@ def test_the_report_reads_the_files_of_all_models(metrics, tmp_path):
     assert missed == ["b: rollouts lost of 50 over 5 training horizons: not met"]
     assert "23 of 24 are met" not in (tmp_path / "accuracy.md").read_text()
     assert "22 of 23 are met" in (tmp_path / "accuracy.md").read_text()
+
+
+def test_the_command_measures_keeps_and_reports(run_folder, tmp_path, capsys):
+    """Scores and long rollouts of a model in a folder of its own; new scores keep the rest."""
+    models, out = tmp_path / "models", tmp_path / "results"
+    directory = shutil.copytree(run_folder / "simulator", models / "tiny")
+    words = ["--pretrained", models, "--out", out, "--model", "tiny", "--trajectories", 1]
+    parts = ["--part", "scores", "--part", "stability", "--scenes", 2]
+    assert measure([str(word) for word in [*words, *parts]]) == 1
+    said = capsys.readouterr().out
+    metrics = json.loads((directory / "metrics.json").read_text())
+    assert metrics["held_out"]["seed"] == HELD_OUT_SEED
+    assert metrics["stability"]["scenes"] == 2
+    assert len(metrics["per_trajectory"]) == 1
+    assert [entry["name"] for entry in catalogue(models)] == ["tiny"]
+    text = (out / "accuracy.md").read_text()
+    assert "only 2 scenes over 5 horizons" in text
+    assert "tiny: held-out trajectories: not met" in said
+
+    again = [*words, "--part", "scores"]
+    assert measure([str(word) for word in again]) == 1
+    kept = json.loads((directory / "metrics.json").read_text())
+    assert kept["sparse"] == metrics["sparse"]
+    assert kept["stability"] == metrics["stability"]

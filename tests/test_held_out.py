@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from giorom.data.trajectory_file import iterate_trajectories
+from giorom.evaluation.card import write_card
 from giorom.evaluation.catalogue import catalogue, update_catalogue
 from giorom.evaluation.paper import PAPER, paper_values
 from giorom.generate.held_out import (
@@ -102,6 +103,24 @@ def test_the_catalogue_repeats_what_the_files_of_a_model_say(published):
     assert entry["training"] == {"steps": 20, "seconds": 3.5}
     assert entry["bytes"] == (published / "model.safetensors").stat().st_size
     assert entry["paper"] is None
+
+
+def test_the_card_of_a_model_repeats_its_files(published, simulator):
+    """Cost, seed and scores; a field that nothing measured has no row."""
+    record = {"parameters": 5, "field_parameters": 7, "steps": 20, "seconds": 90.0, "seed": 3}
+    record |= {"threads": 1, "history": [{"step": 4, "rollout_mse": 1.0}, {"rollout_mse": None}]}
+    (published / "training.json").write_text(json.dumps(record))
+    write_card(published, simulator.config, ["giorom train x"])
+    text = (published / "README.md").read_text()
+    scores = json.loads((published / "metrics.json").read_text())
+    assert text.startswith("# tiny\n")
+    assert "5 + 7 parameters" in text
+    assert "20 steps in 2 minutes, the weights kept are those of step 4 on 1 CPU thread(s)" in text
+    assert f"made afresh with the seed {HELD_OUT_SEED}" in text
+    assert "    giorom train x\n" in text
+    full, sparse = (scores[where]["rollout_mse"] for where in ("full", "sparse"))
+    assert f"| rollout MSE | {sparse:.3g} | {full:.3g} |" in text
+    assert "predicted over true period" not in text
 
 
 def test_every_shipped_model_has_an_entry_and_the_papers_numbers(succeed):

@@ -16,6 +16,7 @@ from benchmarks.accuracy.stability import measure_stability
 from giorom.cli import main as giorom
 from giorom.config import load_experiment
 from giorom.data.atomic import write_json
+from giorom.evaluation.card import write_card
 from giorom.evaluation.catalogue import catalogue, training_cost, update_catalogue
 from giorom.evaluation.machine import describe_machine
 from giorom.evaluation.paper import paper_values
@@ -25,12 +26,13 @@ PARTS = ("scores", "stability", "discretisation", "noise_floor")
 """What can be measured; ``discretisation`` is for clamped bodies alone."""
 
 
-def main() -> int:
+def main(arguments: list[str] | None = None) -> int:
     """Measure, then write the report; 1 if a requirement is not met."""
-    options = _parser().parse_args()
+    options = _parser().parse_args(arguments)
     torch.set_num_threads(options.threads)
     names = options.model or pretrained_names()
-    parts = [] if options.report_only else options.part or PARTS
+    only_presets = options.preset and not (options.model or options.part)
+    parts = [] if options.report_only or only_presets else options.part or PARTS
     for name in names:
         for part in parts:
             print(f"{name}: {part}", flush=True)
@@ -51,7 +53,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--model", action="append", help="this model only")
     parser.add_argument("--part", action="append", choices=PARTS, help="this part only")
     parser.add_argument(
-        "--preset", action="append", default=[], help="noise floor of a preset without a model"
+        "--preset", action="append", default=[], help="noise floor of a preset; alone: nothing else"
     )
     parser.add_argument("--out", type=Path, default=Path("docs/results"))
     parser.add_argument("--pretrained", type=Path, default=PRETRAINED, help="folder of the models")
@@ -84,7 +86,7 @@ def _measure(part: str, name: str, options: argparse.Namespace) -> None:
         known = json.loads(path.read_text()) if path.is_file() else {}
         kept = {key: known[key] for key in (*PARTS, "paper_preset") if key in known}
         write_json(path, _scores(directory, options) | kept)
-        _update_index(options.pretrained, name)
+        _describe(directory)
         return
     simulator = Simulator.from_pretrained(directory)
     if part == "discretisation" and simulator.config.scene.family != "clamped":
@@ -146,9 +148,13 @@ def _add(directory: Path, key: str, value: Any) -> None:
     write_json(path, metrics | {key: value})
 
 
-def _update_index(pretrained: Path, name: str) -> None:
-    known = {entry["name"]: entry["commands"] for entry in catalogue(pretrained)}
-    update_catalogue(pretrained, name, known.get(name, []))
+def _describe(directory: Path) -> None:
+    """Bring the card of a model and its entry in the index up to its metrics."""
+    known = {entry["name"]: entry["commands"] for entry in catalogue(directory.parent)}
+    commands = known.get(directory.name, [])
+    update_catalogue(directory.parent, directory.name, commands)
+    if (directory / "training.json").is_file():
+        write_card(directory, Simulator.from_pretrained(directory).config, commands)
 
 
 def _keep_floor(name: str, options: argparse.Namespace) -> None:
