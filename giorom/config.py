@@ -19,7 +19,7 @@ from giorom.graph import GraphConfig
 from giorom.grid_stepper import GridStepperConfig
 from giorom.mpm.scene_config import SceneConfig
 from giorom.mpm.simulate import SolverConfig
-from giorom.records import check_keys, nearest, one_line, parse_record
+from giorom.records import nearest, one_line, parse_fields, parse_record
 from giorom.sampling import SamplingConfig
 from giorom.time_stepper import TimeStepperConfig
 from giorom.training.field_loop import FieldTrainingConfig
@@ -52,7 +52,7 @@ class StepperChoice:
                 f"time_stepper.overrides: {derived[0]} follows from the features and the data and "
                 f"cannot be set. Remove it."
             )
-        check_keys(TimeStepperConfig, self.overrides, where="time_stepper.overrides")
+        self._fields()
 
     def build(
         self, *, dimension: int, features: FeatureConfig, latent_bounds: list[list[float]]
@@ -65,7 +65,7 @@ class StepperChoice:
             latent_bounds: Padded bounds of the training data [m], over which the grid of the
                 recommended network extends where ``overrides`` says nothing else.
         """
-        values = self.overrides | {
+        values = self._fields() | {
             "node_width": features.node_width(dimension),
             "edge_width": features.edge_width(dimension),
             "gate_width": features.shape_width(dimension),
@@ -73,6 +73,10 @@ class StepperChoice:
         if self.preset == "paper":
             return TimeStepperConfig.paper(dimension, **values)
         return TimeStepperConfig.default(dimension, **({"latent_bounds": latent_bounds} | values))
+
+    def _fields(self) -> dict[str, Any]:
+        """The overrides with the types of the fields."""
+        return parse_fields(TimeStepperConfig, self.overrides, where="time_stepper.overrides")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,6 +115,15 @@ class Experiment:
 
     field_training: FieldTrainingConfig = default(default_factory=FieldTrainingConfig)
     """How the field is trained, if it learns."""
+
+    def __post_init__(self) -> None:
+        """Reject a network that cannot be built, before any data are read for it."""
+        if self.grid_stepper is None:
+            self.time_stepper.build(
+                dimension=self.scene.dimension,
+                features=self.features,
+                latent_bounds=[[0.0, 1.0]] * self.scene.dimension,
+            )
 
 
 def preset_names() -> list[str]:

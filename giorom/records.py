@@ -45,6 +45,34 @@ def parse_record(kind: type[Record], values: Any, *, where: str) -> Record:
         raise ValueError(f"{where}: {one_line(error)}") from None
 
 
+def parse_fields(kind: type, values: Any, *, where: str) -> dict[str, Any]:
+    """Check the types of some fields of a record that is built later.
+
+    Args:
+        kind: A frozen dataclass without records in it.
+        values: Some of its fields, as JSON or YAML gives them.
+        where: What the values are, for messages.
+
+    Returns:
+        The values with the types of the fields.
+
+    Raises:
+        ValueError: If a key is unknown or a value has the wrong type.
+    """
+    from jsonargparse import ArgumentError, ArgumentParser
+
+    check_keys(kind, values, where=where)
+    parser = ArgumentParser(exit_on_error=False)
+    for field in dataclasses.fields(kind):
+        if field.name in values:
+            parser.add_argument(f"--{field.name}", type=typing.get_type_hints(kind)[field.name])
+    try:
+        parsed = parser.parse_object(copy.deepcopy(values))
+    except (ArgumentError, TypeError, ValueError) as error:
+        raise ValueError(f"{where}: {one_line(error)}") from None
+    return {name: parsed[name] for name in values}
+
+
 def check_keys(kind: type, values: Any, *, where: str) -> None:
     """Reject keys that ``kind`` or a record inside it does not have.
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import pytest
 import yaml
 
-from giorom.config import load_experiment, merged, preset_names
+from giorom.config import StepperChoice, load_experiment, merged, preset_names
 from giorom.records import nearest, parse_record
 
 
@@ -101,6 +101,34 @@ def test_derived_fields_of_the_network_cannot_be_set(tiny_values, tmp_path, name
     """They follow from features and data, so a second value could only contradict."""
     change = {"time_stepper": {"overrides": {name: 3}}}
     assert f"{name} follows from" in refused(merged(tiny_values, change), tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("hidden", "many"),
+        ("gno_in_hidden", 3),
+        ("latent_bounds", [0.0, 1.0]),
+        ("latent", 0.5),
+        ("dropout", 2.0),
+        ("processor", "fft"),
+        ("processor", "fourier"),
+        ("latent_bounds", [[0.0, 1.0]]),
+    ],
+)
+def test_network_that_cannot_be_built_is_refused_with_the_file(tiny_values, tmp_path, name, value):
+    """Wrong types and values alike, before any data are read."""
+    change = {"time_stepper": {"overrides": {name: value}}}
+    assert name in refused(merged(tiny_values, change), tmp_path)
+
+
+def test_whole_numbers_are_taken_where_the_network_wants_any(tiny):
+    """YAML writes 1 for 1.0; the stored configuration has numbers of one kind."""
+    choice = StepperChoice(overrides={"latent_bounds": [[0, 1], [0, 2], [0, 1]], "dropout": 0})
+    config = choice.build(dimension=3, features=tiny.features, latent_bounds=[[0.0, 1.0]] * 3)
+    assert config.latent_bounds == [[0.0, 1.0], [0.0, 2.0], [0.0, 1.0]]
+    assert {type(bound) for pair in config.latent_bounds for bound in pair} == {float}
+    assert type(config.dropout) is float
 
 
 def test_missing_group_is_named(tiny_values, tmp_path):

@@ -57,7 +57,7 @@ def test_a_run_whose_latent_branch_is_dead_is_refused_before_it_begins(
     for part in (
         "reaches 0.0 % of the samples",
         "least_coverage=0.9",
-        "latent_radius",
+        "latent_radius to null",
         "latent_bounds",
         "latent_side",
         "latent: false",

@@ -36,10 +36,10 @@ def check_coverage(time_stepper: TimeStepper, windows: Windows, config: Training
         f"the latent grid reaches {100.0 * share:.1f} % of the samples of the training windows, "
         f"less than training.least_coverage={config.least_coverage:g}: the others would learn "
         f"without it. Its nodes reach {grid.reach:g} m and need {grid.covering_radius:g} m to "
-        f"leave no gap. Leave latent_radius and latent_bounds out of time_stepper.overrides, so "
-        f"that they follow from the data, or raise latent_side; latent: false trains without a "
-        f"grid, and training.least_coverage: {math.floor(100.0 * share) / 100.0:g} accepts this "
-        f"one."
+        f"leave no gap. In time_stepper.overrides, set latent_radius to null, so that it follows "
+        f"from the grid, and latent_bounds to the bounds of the data, as the default network has "
+        f"them, or raise latent_side; latent: false trains without a grid, and "
+        f"training.least_coverage: {math.floor(100.0 * share) / 100.0:g} accepts this one."
     )
 
 
