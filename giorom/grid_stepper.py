@@ -29,6 +29,9 @@ HELD_MASS = 1e3
 BEYOND = 0.5
 """How far a sample may be pressed beyond a wall [grid cells]."""
 
+GRADIENT_STEPS = 4
+"""Passes that find the velocity gradient at the start."""
+
 LIGHTEST = 1e-9
 """Mass below which a node is empty, in particles."""
 
@@ -55,11 +58,6 @@ class GridStepperConfig:
             )
         if self.substeps < 1:
             raise ValueError(f"GridStepperConfig.substeps must be >= 1, got {self.substeps!r}.")
-        if self.wall_contact not in ("slip", "stick"):
-            raise ValueError(
-                f"GridStepperConfig.wall_contact must be 'slip' or 'stick', got "
-                f"{self.wall_contact!r}."
-            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,7 +111,7 @@ class GridStepper(nn.Module):
 
     def start(self, state: SparseState, velocity: Float[Tensor, "q d"]) -> SparseState:
         """The state of undeformed samples with a known velocity [m/s]."""
-        motion = replace(self._begin(state), velocity=velocity)
+        motion = self._at_rest(state, velocity - self._half_kick(state))
         return replace(state, memory=self._remember(motion, state.position))
 
     def _substep(
@@ -190,15 +188,37 @@ class GridStepper(nn.Module):
 
     def _begin(self, state: SparseState) -> _Motion:
         """Undeformed samples that move as their last two frames say."""
-        d = self.dimension
         # The difference of two frames is the velocity half a frame ago.
-        velocity = state.velocity + 0.5 * state.frame_dt * self.gravity
-        return _Motion(
+        velocity = state.velocity + 0.5 * state.frame_dt * self.gravity - self._half_kick(state)
+        return self._at_rest(state, velocity)
+
+    def _at_rest(self, state: SparseState, velocity: Float[Tensor, "q d"]) -> _Motion:
+        """Undeformed samples with a velocity [m/s] and the gradient of it.
+
+        The gradient is found by passing the velocity through the grid with what is known of the
+        gradient; a turn is lost without it.
+        """
+        d = self.dimension
+        motion = _Motion(
             position=state.position,
             velocity=velocity,
             gradient=velocity.new_zeros(len(velocity), d, d),
             strain=self.law.rest(state.particle_type),
         )
+        grid = SplineGrid(state.bounds, spacing=self.config.spacing)
+        stencil = grid.stencil(state.position, state.batch)
+        for _ in range(GRADIENT_STEPS):
+            node, _ = self._node_velocities(motion, velocity, state, grid, stencil, dt=0.0)
+            weighted = stencil.weight[:, :, None] * node[stencil.node]
+            motion = replace(motion, gradient=grid.inverse_moment * weighted.mT @ stencil.offset)
+        return motion
+
+    def _half_kick(self, state: SparseState) -> Float[Tensor, " d"]:
+        """What half a substep of gravity adds [m/s].
+
+        Velocities lag by so much, as in leapfrog: free fall is a parabola whatever the step.
+        """
+        return 0.5 * state.frame_dt / self.config.substeps * self.gravity
 
     def _remember(self, motion: _Motion, position: Float[Tensor, "q d"]) -> Float[Tensor, "q m"]:
         """The motion as one row per sample."""

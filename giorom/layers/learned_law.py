@@ -34,7 +34,7 @@ START = {"bulk": 100.0, "shear": 50.0, "strength": 3.0, "friction": 0.7, "relaxa
 """Constants every law starts from: a wave speed of 10 m/s, a strength that a fall of a few
 decimetres exceeds, the friction of dry sand."""
 
-NEWTON_STEPS = 4
+NEWTON_STEPS = 5
 """Iterations for the trace of the isochoric tensor; its error is then below rounding."""
 
 
