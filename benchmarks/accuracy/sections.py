@@ -34,6 +34,7 @@ def against_paper(models: Models) -> str:
                 f"{metrics['frames']} / {paper.get('frames', '-')}",
                 f"{metrics['points']} / {paper.get('points', '-')}",
                 f"{metrics['sparse_points']} / {paper.get('sparse_points', '-')}",
+                number(sparse.get("one_step_mse"), spread=sparse.get("one_step_mse_std")),
                 number(full.get("one_step_mse"), spread=full.get("one_step_mse_std")),
                 number(paper.get("one_step_mse")),
                 number(full.get("rollout_mse"), spread=full.get("rollout_mse_std")),
@@ -50,8 +51,9 @@ def against_paper(models: Models) -> str:
         "frames, ours / paper's",
         "particles",
         "samples",
+        "one step, samples",
         "one step, all",
-        "paper",
+        "paper (Table 1)",
         "rollout, all",
         "paper (Table 1)",
         "rollout, samples",
@@ -61,7 +63,8 @@ def against_paper(models: Models) -> str:
         "training",
     ]
     text = (
-        "## Beside the paper\n\n*field alone*: all particles recovered from true samples. "
+        "## Beside the paper\n\n*field alone*: all particles recovered from true samples, an "
+        "error that every number on all particles contains. "
         "The frames are those predicted; the given ones come on top.\n\n"
     )
     return text + table(header, rows)
