@@ -188,3 +188,13 @@ def test_windows_with_a_fixed_graph_bring_one_of_the_configured_kind():
         [body], SamplingConfig(count=9), subsets=1, reference_radius=0.1, kind="delaunay"
     )
     assert pairs(sampled.edges) == pairs(delaunay_edges(sampled.reference, scenes(9)))
+
+
+@pytest.mark.gpu
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
+def test_positions_on_a_device_have_their_graph_there():
+    """Triangulated on the processor, brought back."""
+    points, batch = cloud(20, 3), scenes(12, 8)
+    found = delaunay_edges(points.cuda(), batch.cuda())
+    assert found.sender.is_cuda
+    assert pairs(found) == pairs(delaunay_edges(points, batch))

@@ -88,6 +88,22 @@ def test_operator_equals_that_of_the_neuraloperator_library(dimension, side, mod
     assert sum(p.numel() for p in ours.parameters()) == count
 
 
+@pytest.mark.gpu
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
+@pytest.mark.parametrize("half", [False, True])
+def test_the_device_gives_what_the_processor_gives(half):
+    """Single precision to rounding; half precision outside the transform to a few per cent."""
+    torch.manual_seed(0)
+    operator = FourierOperator(3, 8, 4, dimension=3, layers=2, modes=4, hidden=8)
+    token = torch.randn(2, 6**3, 3)
+    expected = operator(token).detach()
+    operator.cuda()
+    with torch.autocast("cuda", torch.bfloat16, enabled=half):
+        found = operator(token.cuda()).float().cpu().detach()
+    error = (found - expected).square().mean().sqrt() / expected.square().mean().sqrt()
+    assert float(error) < (0.05 if half else 1e-4)
+
+
 @torch.no_grad()
 def copy_weights(ours: FourierOperator, theirs: torch.nn.Module) -> None:
     """Give our operator the weights of the library's."""

@@ -151,6 +151,7 @@ def test_unroll_stages_begin_at_their_share_of_the_budget():
         ({"average_decay": 1.0}, "average_decay"),
         ({"gradient_clip": 0.0}, "gradient_clip"),
         ({"huber": 0.0}, "huber"),
+        ({"objective": "motion", "pushforward": True}, "pushforward"),
         ({"decay_steps": -1.0}, "decay_steps"),
         ({"unroll": [[0.5]]}, "unroll"),
         ({"unroll": [[1.0, 2.0]]}, "unroll"),

@@ -120,6 +120,11 @@ class TrainingConfig:
                 raise ValueError(
                     f"TrainingConfig.{name} must be >= 0, got {getattr(self, name)!r}."
                 )
+        if self.objective == "motion" and (self.pushforward or self.huber is not None):
+            raise ValueError(
+                f"TrainingConfig.pushforward={self.pushforward!r} and huber={self.huber!r} belong "
+                f"to the objective 'acceleration', not to 'motion'. Leave them out."
+            )
         if not all(goal > 0 for goal in self.goals):
             raise ValueError(f"TrainingConfig.goals must all be > 0, got {self.goals!r}.")
         if not 0.0 <= self.least_coverage <= 1.0:
