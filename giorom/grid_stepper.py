@@ -32,6 +32,9 @@ BEYOND = 0.5
 GRADIENT_STEPS = 4
 """Passes that find the velocity gradient at the start."""
 
+START_BLEND = 0.9
+"""Share of its own velocity that a sample keeps at first: coarse grids damp much."""
+
 LIGHTEST = 1e-9
 """Mass below which a node is empty, in particles."""
 
@@ -83,7 +86,7 @@ class GridStepper(nn.Module):
         self.config, self.dimension = config, dimension
         self.law = LearnedLaw(dimension)
         self.register_buffer("gravity", torch.zeros(dimension))
-        self.blend_logit = nn.Parameter(torch.tensor(0.0))
+        self.blend_logit = nn.Parameter(torch.tensor(START_BLEND).logit())
 
     @property
     def own_share(self) -> Float[Tensor, ""]:
@@ -230,7 +233,6 @@ class GridStepper(nn.Module):
                 motion.gradient.flatten(1),
                 strain.isochoric.flatten(1),
                 strain.volume_ratio[:, None],
-                strain.gained[:, None],
             ],
             dim=1,
         )
@@ -238,8 +240,8 @@ class GridStepper(nn.Module):
     def _recall(self, state: SparseState) -> _Motion:
         """The inverse of ``_remember``; samples that were moved since take the velocity of it."""
         d = self.dimension
-        place, velocity, gradient, isochoric, ratio, gained = state.memory.split(
-            [d, d, d * d, d * d, 1, 1], dim=1
+        place, velocity, gradient, isochoric, ratio = state.memory.split(
+            [d, d, d * d, d * d, 1], dim=1
         )
         moved = (state.position - place) / state.frame_dt
         return _Motion(
@@ -249,7 +251,6 @@ class GridStepper(nn.Module):
             strain=Strain(
                 isochoric=isochoric.unflatten(1, (d, d)),
                 volume_ratio=ratio[:, 0],
-                gained=gained[:, 0],
             ),
         )
 

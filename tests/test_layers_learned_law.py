@@ -30,7 +30,9 @@ def types(kind, count=1):
 def rest(law, kind, count=1):
     strain = law.rest(types(kind, count))
     return replace(
-        strain, **{n: getattr(strain, n).double() for n in ("isochoric", "volume_ratio", "gained")}
+        strain,
+        isochoric=strain.isochoric.double(),
+        volume_ratio=strain.volume_ratio.double(),
     )
 
 
@@ -126,16 +128,17 @@ def test_sand_bears_a_share_of_its_pressure(dimension):
 
 
 @DIMENSIONS
-def test_sand_that_came_apart_resists_again_at_its_old_volume(dimension):
-    """No tension while it expands; pressed back to where it was, it bears nothing yet."""
+def test_sand_that_came_apart_resists_only_from_its_old_volume_on(dimension):
+    """No tension while it expands; pressed back it bears nothing, pressed further it does."""
     law = law_in_double(dimension)
     apart = 50.0 * torch.eye(dimension, dtype=torch.float64)[None]
-    strain = law.flow(rest(law, SAND), apart, types(SAND), dt=DT)
-    assert float(law.stress(strain, types(SAND)).abs().max()) < 1e-9
-    back = apart / (1.0 + 50.0 * DT) * -1.0
-    strain = law.flow(strain, back, types(SAND), dt=DT)
-    assert float(strain.volume_ratio) == pytest.approx(1.0)
-    assert float(law.stress(strain, types(SAND))[0, 0, 0]) < 0.0
+    back = -apart / (1.0 + 50.0 * DT)
+    strain, found = rest(law, SAND), []
+    for gradient in (apart, back, -apart):
+        strain = law.flow(strain, gradient, types(SAND), dt=DT)
+        found.append(float(law.stress(strain, types(SAND))[0, 0, 0]))
+    assert found[:2] == pytest.approx([0.0, 0.0], abs=1e-9)
+    assert found[2] < -1.0
 
 
 def test_goop_relaxes_at_its_own_pace():
@@ -168,3 +171,16 @@ def test_a_solid_never_yields(dimension):
     assert float(law.stress(strain, types(ELASTIC)).abs().max()) > START["strength"]
     strain = law.flow(strain, back, types(ELASTIC), dt=DT)
     assert float(law.stress(strain, types(ELASTIC)).abs().max()) < 1e-5
+
+
+@pytest.mark.parametrize(
+    ("exponent", "law_of_ratio"),
+    [(1e-4, torch.log), (1.0, lambda j: j - 1.0), (2.0, lambda j: 0.5 * (j**2 - 1.0))],
+)
+def test_the_exponent_chooses_how_the_bulk_stiffens(exponent, law_of_ratio):
+    law = law_in_double(2)
+    law.log_exponent.fill_(math.log(exponent))
+    ratio = torch.linspace(0.6, 1.2, 7, dtype=torch.float64)
+    strain = replace(rest(law, WATER, 7), volume_ratio=ratio)
+    found = law.stress(strain, types(WATER, 7))[:, 0, 0]
+    torch.testing.assert_close(found, START["bulk"] * law_of_ratio(ratio), atol=5e-3, rtol=0.0)

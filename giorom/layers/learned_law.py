@@ -3,20 +3,19 @@ r"""A constitutive law whose constants are learned: from the strain of a sample 
 One law for all materials, an isotropic elastic body that yields:
 
 .. math::
-    \tau / \rho = G\, \mathrm{dev}\, \bar b + K J (J - 1)\, I, \qquad
+    \tau / \rho = G\, \mathrm{dev}\, \bar b + K \frac{J^n - 1}{n}\, I, \qquad
     |G\, \mathrm{dev}\, \bar b| \le Y + M p,
 
 with the volume ratio :math:`J`, the isochoric left Cauchy-Green tensor :math:`\bar b` of the
 elastic part (determinant one) and the pressure :math:`p`. A liquid yields at once, plasticine at Y,
-sand at a share M of the pressure, goop slowly; an elastic body never. Grains resist no tension and
-remember how far they came apart. Densities are one: every modulus is divided by the density
-[m^2/s^2], which is all that motion shows.
+sand at a share M of the pressure, goop slowly; an elastic body never. Grains resist no tension.
+The exponent n says how the bulk stiffens: near 0 it is Hencky's logarithm, 1 a straight line,
+near 3 the :math:`J (J - 1)` of weakly compressible fluids. Densities are one: every modulus is
+divided by the density [m^2/s^2], which is all that motion shows.
 
 Source:
     Simo, "A framework for finite strain elastoplasticity based on maximum plastic dissipation",
-    Comput. Methods Appl. Mech. Eng. 66, 1988 (radial return of the isochoric tensor); Tampubolon
-    et al., "Multi-species simulation of porous sand and water mixtures", ACM TOG 2017 (volume
-    correction).
+    Comput. Methods Appl. Mech. Eng. 66, 1988 (radial return of the isochoric tensor).
 """
 
 from dataclasses import dataclass
@@ -25,12 +24,19 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from giorom.state import ELASTIC, GOOP, PARTICLE_TYPE_COUNT, PLASTICINE, RIGID, SAND, WATER
+from giorom.state import ELASTIC, GOOP, PARTICLE_TYPE_COUNT, RIGID, SAND, WATER
 
 SOLID = (RIGID, ELASTIC)
 """Particle types that never yield."""
 
-START = {"bulk": 100.0, "shear": 50.0, "strength": 3.0, "friction": 0.7, "relaxation": 5e-3}
+START = {
+    "bulk": 100.0,
+    "shear": 50.0,
+    "exponent": 1.0,
+    "strength": 3.0,
+    "friction": 0.7,
+    "relaxation": 5e-3,
+}
 """Constants every law starts from: a wave speed of 10 m/s, a strength that a fall of a few
 decimetres exceeds, the friction of dry sand."""
 
@@ -47,9 +53,6 @@ class Strain:
 
     volume_ratio: Float[Tensor, " q"]
     """Volume over undeformed volume."""
-
-    gained: Float[Tensor, " q"]
-    """Logarithm of the volume that grains gained by coming apart; zero elsewhere."""
 
 
 class LearnedLaw(nn.Module):
@@ -73,7 +76,6 @@ class LearnedLaw(nn.Module):
         return Strain(
             isochoric=identity.repeat(count, 1, 1),
             volume_ratio=identity.new_ones(count),
-            gained=identity.new_zeros(count),
         )
 
     def constant(self, name: str, particle_type: Int[Tensor, " q"]) -> Float[Tensor, " q"]:
@@ -82,10 +84,9 @@ class LearnedLaw(nn.Module):
 
     def stress(self, strain: Strain, particle_type: Int[Tensor, " q"]) -> Float[Tensor, "q d d"]:
         """Kirchhoff stress over density [m^2/s^2]."""
-        ratio = strain.volume_ratio * strain.gained.exp()
-        pull = self.constant("bulk", particle_type) * ratio * (ratio - 1.0)
+        pull = self._pull(strain.volume_ratio, particle_type)
         shear = self.constant("shear", particle_type)[:, None, None]
-        identity = torch.eye(self.dimension, device=ratio.device)
+        identity = torch.eye(self.dimension, device=pull.device)
         return shear * deviator(strain.isochoric) + pull[:, None, None] * identity
 
     def flow(
@@ -111,31 +112,33 @@ class LearnedLaw(nn.Module):
         trial = growth @ strain.isochoric @ growth.mT
         trial = 0.5 * (trial + trial.mT)
         volume = strain.volume_ratio * change
-        gained = torch.where(
-            (particle_type == SAND) & (volume * strain.gained.exp() > 1.0),
-            -volume.log(),
-            strain.gained,
-        )
+        pressure = -self._pull(volume, particle_type)
         return Strain(
-            isochoric=self._returned(trial, volume * gained.exp(), particle_type, dt=dt),
-            volume_ratio=volume,
-            gained=gained,
+            isochoric=self._returned(trial, pressure, particle_type, dt=dt), volume_ratio=volume
         )
+
+    def _pull(
+        self, volume_ratio: Float[Tensor, " q"], particle_type: Int[Tensor, " q"]
+    ) -> Float[Tensor, " q"]:
+        """Mean stress over density, negative under pressure; grains cannot pull [m^2/s^2]."""
+        exponent = self.constant("exponent", particle_type)
+        pull = self.constant("bulk", particle_type) * (volume_ratio.pow(exponent) - 1.0) / exponent
+        return torch.where(particle_type == SAND, pull.clamp_max(0.0), pull)
 
     def _returned(
         self,
         trial: Float[Tensor, "q d d"],
-        ratio: Float[Tensor, " q"],
+        pressure: Float[Tensor, " q"],
         particle_type: Int[Tensor, " q"],
         *,
         dt: float,
     ) -> Float[Tensor, "q d d"]:
         """Shorten the deviator to what the material bears."""
-        constant = {n: self.constant(n, particle_type) for n in START}
-        shear, bulk = constant["shear"], constant["bulk"]
-        pressure = (bulk * ratio * (1.0 - ratio)).clamp_min(0.0)
-        bears = constant["strength"]
-        bears = torch.where(particle_type == SAND, constant["friction"] * pressure, bears)
+        names = ("shear", "strength", "friction", "relaxation")
+        constant = {name: self.constant(name, particle_type) for name in names}
+        shear, bears = constant["shear"], constant["strength"]
+        friction = constant["friction"] * pressure.clamp_min(0.0)
+        bears = torch.where(particle_type == SAND, friction, bears)
         bears = torch.where(particle_type == WATER, torch.zeros_like(bears), bears)
         deviation = deviator(trial)
         length = deviation.square().sum(dim=(1, 2)).clamp_min(1e-12).sqrt()
@@ -178,6 +181,3 @@ def with_unit_determinant(deviation: Float[Tensor, "q d d"]) -> Float[Tensor, "q
             mean = mean - (mean**3 - half * mean + rest) / slope
     identity = torch.eye(deviation.shape[1], device=deviation.device)
     return deviation + mean[:, None, None] * identity
-
-
-__all__ = ["GOOP", "PLASTICINE", "LearnedLaw", "Strain", "determinant", "deviator"]
