@@ -120,11 +120,23 @@ class TrainingConfig:
                 raise ValueError(
                     f"TrainingConfig.{name} must be >= 0, got {getattr(self, name)!r}."
                 )
+        self._check_objective()
+        self._check_shares()
+
+    def _check_objective(self) -> None:
         if self.objective == "motion" and (self.pushforward or self.huber is not None):
             raise ValueError(
                 f"TrainingConfig.pushforward={self.pushforward!r} and huber={self.huber!r} belong "
                 f"to the objective 'acceleration', not to 'motion'. Leave them out."
             )
+        for stage in self.unroll or []:
+            if len(stage) != 2 or not 0.0 <= stage[0] < 1.0 or not stage[1] >= 1:
+                raise ValueError(
+                    f"TrainingConfig.unroll must be pairs [share in [0, 1), frames >= 1], got "
+                    f"{stage!r}."
+                )
+
+    def _check_shares(self) -> None:
         if not all(goal > 0 for goal in self.goals):
             raise ValueError(f"TrainingConfig.goals must all be > 0, got {self.goals!r}.")
         if not 0.0 <= self.least_coverage <= 1.0:
@@ -136,12 +148,6 @@ class TrainingConfig:
             raise ValueError(
                 f"TrainingConfig.average_decay must lie in [0, 1), got {self.average_decay!r}."
             )
-        for stage in self.unroll or []:
-            if len(stage) != 2 or not 0.0 <= stage[0] < 1.0 or not stage[1] >= 1:
-                raise ValueError(
-                    f"TrainingConfig.unroll must be pairs [share in [0, 1), frames >= 1], got "
-                    f"{stage!r}."
-                )
 
     def unrolled_frames(self, progress: float) -> int:
         """Frames per window after the share ``progress`` of the budget."""
