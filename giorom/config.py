@@ -117,7 +117,13 @@ class Experiment:
     """How the field is trained, if it learns."""
 
     def __post_init__(self) -> None:
-        """Reject a network that cannot be built, before any data are read for it."""
+        """Reject what cannot be built or trained, before any data are read for it."""
+        if self.grid_stepper is not None and self.training.objective != "motion":
+            raise ValueError(
+                f"a grid_stepper is trained on whole motions: training.objective must be 'motion', "
+                f"got {self.training.objective!r}. Change it, or set grid_stepper to null to train "
+                f"the network."
+            )
         if self.grid_stepper is None:
             self.time_stepper.build(
                 dimension=self.scene.dimension,

@@ -183,3 +183,8 @@ def test_an_empty_mapping_clears_a_group():
     changes = {"time_stepper": {"preset": "paper", "overrides": {}}}
     chosen = load_experiment("elastic3d-small", changes).time_stepper
     assert (chosen.preset, chosen.overrides) == ("paper", {})
+
+
+def test_a_grid_stepper_is_trained_on_motions_alone():
+    with pytest.raises(ValueError, match="training.objective must be 'motion'"):
+        load_experiment("water2d-small", {"training": {"objective": "acceleration"}})

@@ -124,11 +124,7 @@ class TrainingConfig:
         self._check_shares()
 
     def _check_objective(self) -> None:
-        if self.objective == "motion" and (self.pushforward or self.huber is not None):
-            raise ValueError(
-                f"TrainingConfig.pushforward={self.pushforward!r} and huber={self.huber!r} belong "
-                f"to the objective 'acceleration', not to 'motion'. Leave them out."
-            )
+        self._check_objective()
         for stage in self.unroll or []:
             if len(stage) != 2 or not 0.0 <= stage[0] < 1.0 or not stage[1] >= 1:
                 raise ValueError(
@@ -147,6 +143,13 @@ class TrainingConfig:
         if not 0.0 <= self.average_decay < 1.0:
             raise ValueError(
                 f"TrainingConfig.average_decay must lie in [0, 1), got {self.average_decay!r}."
+            )
+
+    def _check_objective(self) -> None:
+        if self.objective == "motion" and (self.pushforward or self.huber is not None):
+            raise ValueError(
+                f"TrainingConfig.pushforward={self.pushforward!r} and huber={self.huber!r} belong "
+                f"to the objective 'acceleration', not to 'motion'. Leave them out."
             )
 
     def unrolled_frames(self, progress: float) -> int:
