@@ -241,8 +241,12 @@ def test_the_command_measures_keeps_and_reports(run_folder, tmp_path, capsys):
     assert "only 2 scenes over 5 horizons" in text
     assert "tiny: held-out trajectories: not met" in said
 
-    again = [*words, "--part", "scores"]
+    paper = shutil.copytree(directory, tmp_path / "paper" / "run")
+    (paper / "train.json").write_text(json.dumps({"seconds": 12.0}))
+    again = [*words, "--part", "scores", "--paper-run", "tiny", paper, paper / "train.json"]
     assert measure([str(word) for word in again]) == 1
     kept = json.loads((directory / "metrics.json").read_text())
     assert kept["sparse"] == metrics["sparse"]
     assert kept["stability"] == metrics["stability"]
+    assert kept["paper_preset"]["full"]["rollout_mse"] == metrics["full"]["rollout_mse"]
+    assert kept["paper_preset"]["training_seconds"] == 12.0

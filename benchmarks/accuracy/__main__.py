@@ -130,7 +130,19 @@ def _evaluate(model: Path, options: argparse.Namespace) -> dict[str, Any]:
 
 
 def _add_paper_run(name: str, run: str, training: str, options: argparse.Namespace) -> None:
-    """Score a run of the paper-faithful preset on the scenes that the model was scored on."""
+    """Score a run of the paper-faithful preset on the scenes that the model was scored on.
+
+    Raises:
+        ValueError: If the run was trained on other scenes.
+    """
+    ours, theirs = (
+        Simulator.from_pretrained(place).config for place in (options.pretrained / name, run)
+    )
+    if (ours.scene, ours.solver) != (theirs.scene, theirs.solver):
+        raise ValueError(
+            f"{run} was trained on other scenes than {name}; an equal comparison needs the same. "
+            f"Train the paper's recipe on the model's own preset."
+        )
     scores = _evaluate(Path(run), options)
     seconds = json.loads(Path(training).read_text(encoding="utf-8"))["seconds"]
     kept = {key: scores[key] for key in ("trajectories", "diverged", "frames")}
