@@ -90,6 +90,12 @@ def nearest_samples(
     return found, labels[0][found] == labels[1][:, None]
 
 
+def sample_spacing(sample: Float[Tensor, "q d"]) -> float:
+    """Median distance of a sample to the nearest other one [m]."""
+    points = np.unique(sample.detach().cpu().double().numpy(), axis=0)
+    return float(np.median(nearest_distances(points))) if len(points) > 1 else 1.0
+
+
 def _by_tree(sample: Tensor, query: Tensor, count: int) -> Tensor:
     _, found = cKDTree(sample.numpy()).query(query.numpy(), k=range(1, count + 1))
     return torch.from_numpy(found)

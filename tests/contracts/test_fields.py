@@ -18,13 +18,17 @@ from giorom.training.field_loop import FieldTrainingConfig, train_field
 
 SETTINGS: dict[str, dict[str, Any]] = {
     "neural_basis": {"modes": 6, "width": 12, "depth": 2},
+    "pod": {"modes": 6, "nodes": 125, "snapshots": 8, "sweeps": 2},
+    "autoencoder": {"latent": 4, "width": 16, "depth": 2},
+    "kernel": {"neighbors": 8, "hidden": 8},
     "local": {},
+    "transport": {},
 }
 
-TRANSLATES = {"local": 1e-10}
+TRANSLATES = {"autoencoder": 1e-12, "kernel": 1e-12, "local": 1e-10, "transport": 1e-10}
 """Kinds that move every point along with a rigid translation, and to which error [m]."""
 
-TURNS = {"local": 1e-10}
+TURNS = {"local": 1e-10, "transport": 1e-10}
 """Kinds that reproduce affine motions, rotations among them, and to which error [m]."""
 
 TRAINING = FieldTrainingConfig(steps=3, frames=3, samples=20, queries=40)
