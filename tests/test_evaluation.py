@@ -18,9 +18,11 @@ from giorom.evaluation.metrics import (
 from giorom.evaluation.referee import judge, scene_with_points
 from giorom.evaluation.rollout import roll_out
 from giorom.evaluation.trivial import constant_velocity, free_fall, hold_still
+from giorom.fields import FieldConfig, FieldDecoder
 from giorom.integrate import finite_differences
 from giorom.mpm import MaterialSwitch, draw_scene, simulate
 from giorom.pipeline import connect_within, integrated, start_from_trajectory
+from giorom.simulator import Simulator
 from giorom.state import KINEMATIC, Trajectory
 
 # Wanted by other programs: the keys of the command line's results.
@@ -89,11 +91,23 @@ def frame_of(truth, position):
     return int((truth - position).square().sum(dim=(1, 2)).argmin())
 
 
+class OracleDecoder(FieldDecoder):
+    """A decoder that knows the answer."""
+
+    def __init__(self, truth, samples):
+        super().__init__(truth[0, samples], truth[0])
+        self.truth, self.samples = truth, samples
+
+    def recover(self, position):
+        """The frame these samples belong to."""
+        return self.truth[frame_of(self.truth[:, self.samples], position)]
+
+
 def make_oracle(simulator, truth):
     """A simulator that knows the answer, for the samples and for the body."""
     samples = simulator.sample(truth[0])
     simulator.dynamics = Oracle(truth, samples)
-    simulator.decoder = lambda *_, samples: lambda p: truth[frame_of(truth[:, samples], p)]
+    simulator.decoder = lambda *_, samples: OracleDecoder(truth, samples)
     return simulator
 
 
@@ -313,3 +327,21 @@ def test_memory_is_carried_along_the_true_positions(simulator, data_folder):
         assert torch.equal(position, trajectory.position[1 + frame, samples])
     expected = sum(3 * (1e-3 * count) ** 2 for count in (1, 6, 11)) / 3
     assert sparse == pytest.approx(expected, rel=1e-3)
+
+
+def test_a_field_that_remembers_is_scored_from_the_undeformed_body(simulator, data_folder):
+    """The floor is that of a new decoder, whatever was decoded before; scoring repeats itself."""
+    config = replace(simulator.config, field=FieldConfig(kind="transport"))
+    other = Simulator(config).eval()
+    other.dynamics.load_state_dict(simulator.dynamics.state_dict())
+    trajectory = read_trajectory(data_folder, split="valid", index=0)
+    first, second = (evaluate_trajectory(other, trajectory) for _ in range(2))
+    assert first == second
+    history = other.config.features.history
+    samples = other.sample(trajectory.position[0])
+    truth = trajectory.position[history:]
+    decode = other.decoder(trajectory.position[0], trajectory.kinematic, samples=samples)
+    floor = torch.stack([decode(frame) for frame in truth[:, samples]])
+    floor = torch.where(trajectory.kinematic[:, None], truth, floor)
+    expected = float(squared_error_per_frame(floor, truth).sum()) / trajectory.frame_count
+    assert first["full"]["projection_floor_mse"] == pytest.approx(expected, rel=1e-6)

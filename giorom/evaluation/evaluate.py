@@ -6,6 +6,7 @@ stand beside each. Kinematic particles follow the data in every prediction: they
 the means are over all particles, as in the paper.
 """
 
+import copy
 from dataclasses import replace
 from typing import Any
 
@@ -68,6 +69,7 @@ def evaluate_trajectory(
     everything = torch.arange(trajectory.position.shape[1], device=samples.device)
     sparse_scores = _scores(trajectory, samples, sparse.position, history=history)
     full_scores = _scores(trajectory, everything, full, history=history)
+    decode.restart()
     floor = _decoded(decode, truth[:, samples], trajectory.kinematic, truth)
     floor_error = squared_error_per_frame(floor, truth)
     full_scores["projection_floor_mse"] = float(floor_error.sum()) / (frames + history)
@@ -103,6 +105,8 @@ def one_step_errors(
     sparse_errors, full_errors, memory = [], [], None
     for number in range(frames):
         is_due = number % ONE_STEP_STRIDE == 0
+        if decode.remembers:
+            decode(trajectory.position[number + history - 1, samples])
         if not is_due and memory is None:
             continue
         window = trajectory.position[number : number + history, samples]
@@ -114,7 +118,7 @@ def one_step_errors(
         if is_due:
             moved = later.position[None]
             sparse_errors.append(squared_error_per_frame(moved, truth[:, samples]))
-            full = _decoded(decode, moved, trajectory.kinematic, truth)
+            full = _decoded(copy.copy(decode), moved, trajectory.kinematic, truth)
             full_errors.append(squared_error_per_frame(full, truth))
     return float(torch.cat(sparse_errors).mean()), float(torch.cat(full_errors).mean())
 

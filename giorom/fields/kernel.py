@@ -91,7 +91,7 @@ class KernelField(Field):
         self, reference: Float[Tensor, "q d"], query: Float[Tensor, "p d"]
     ) -> Neighborhood:
         """Who speaks for each query point."""
-        labels = body_labels(reference, query, least=1)
+        labels = body_labels(reference, query, least=self.dimension + 1)
         index, same = nearest_samples(reference, query, count=self.config.neighbors, labels=labels)
         spacing = sample_spacing(reference)
         offset = (query[:, None] - reference[index]) / spacing

@@ -14,6 +14,7 @@ The decoder remembers: frames have to come in the order of time.
 """
 
 from dataclasses import dataclass
+from typing import Literal
 
 import torch
 from jaxtyping import Bool, Float
@@ -28,11 +29,15 @@ from giorom.fields.neighbors import body_labels, nearest_samples
 class TransportConfig:
     """When a neighbourhood is given up, and the size of the next one."""
 
-    spread: float = 1.3
+    spread: float = 1.4
     """Growth of the distance to the farthest neighbour at which a point is tied anew."""
 
+    degree: Literal[1, 2] = 1
+    """Degree of the polynomial in a new neighbourhood: two where neighbours stay in order (goop),
+    one where they do not (water, sand). The first one has degree two."""
+
     neighbors: int | None = None
-    """Samples in a new neighbourhood; null: 8 in the plane and 12 in space."""
+    """Samples in a new neighbourhood; null: as many as ``local`` takes for that degree."""
 
     def __post_init__(self) -> None:
         """Reject neighbourhoods that hold nothing or never last."""
@@ -45,7 +50,7 @@ class TransportConfig:
 
     def count(self, dimension: int) -> int:
         """Samples in a new neighbourhood."""
-        return 4 * dimension if self.neighbors is None else self.neighbors
+        return LocalConfig(degree=self.degree, neighbors=self.neighbors).count(dimension)
 
 
 class TransportField(Field):
@@ -153,7 +158,9 @@ class TransportDecoder(FieldDecoder):
         rows = (radius > self.config.spread * ties.radius).nonzero()[:, 0]
         if len(rows):
             labels = rows.new_zeros(len(position)), rows.new_zeros(len(rows))
-            again = self._tie(position, found[rows], labels, count=self.count, degree=1)
+            again = self._tie(
+                position, found[rows], labels, count=self.count, degree=self.config.degree
+            )
             self.ties = ties.replaced(rows, again)
         return found
 
