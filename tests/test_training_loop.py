@@ -3,6 +3,7 @@
 import json
 import math
 from dataclasses import replace
+from itertools import pairwise
 
 import pytest
 import torch
@@ -11,7 +12,7 @@ from safetensors.torch import load_file
 from giorom.experiment import build_simulator, load_training_data
 from giorom.training import loop
 from giorom.training.checkpoint import CheckpointError
-from giorom.training.loop import StepperTraining
+from giorom.training.loop import StepperTraining, train_stepper
 from giorom.training.training_config import Budget, TrainingConfig, learning_rate
 
 
@@ -107,6 +108,42 @@ def test_a_switch_of_the_recipe_changes_what_is_learnt(train_briefly, change):
     )
     assert torch.equal(plain, again)
     assert not torch.equal(plain, other)
+
+
+@pytest.mark.parametrize(("cost", "expected"), [(1.0, 12), (10.0, 6)])
+def test_validations_take_a_fifth_of_the_minutes_at_most(
+    train_briefly, monkeypatch, cost, expected
+):
+    """Of 300 s, a step takes 1 s: cheap validations come every 25 s, dear ones every 50 s."""
+    now, scored = [0.0], []
+    monkeypatch.setattr(loop.time, "perf_counter", lambda: now[0])
+    training = train_briefly(validations=12)
+    training.run.step = 0
+    monkeypatch.setattr(training, "save", lambda: None)
+
+    def step(numbers, *, progress):
+        now[0] += 1.0
+        return 1.0
+
+    def validate(model):
+        scored.append(now[0])
+        now[0] += cost
+        return {"rollout_mse": 1.0, "static_mse": 1.0}
+
+    monkeypatch.setattr(training, "train_step", step)
+    run = train_stepper(
+        training,
+        Budget(minutes=5.0),
+        validate=validate,
+        keep=lambda model: None,
+        report=lambda numbers: None,
+    )
+    during = scored[:-1]  # the last one ends the run
+    assert len(during) == expected
+    gaps = [later - earlier for earlier, later in pairwise(during)]
+    assert min(gaps) >= 5.0 * cost
+    assert scored[-1] >= 300.0
+    assert run.seconds == scored[-1]
 
 
 def test_budget_is_used_by_whichever_runs_out_first():

@@ -37,6 +37,10 @@ from giorom.training.loss import motion_loss, push_forward, unrolled_loss
 from giorom.training.noise import add_random_walk
 from giorom.training.training_config import Budget, TrainingConfig, learning_rate
 
+VALIDATION_GAP = 4
+"""Least time of training between two validations in units of what one takes, where the budget is
+one of time: else a slow model would do little but roll out."""
+
 OPTIMIZERS = {
     "adamax": torch.optim.Adamax,
     "adam": torch.optim.Adam,
@@ -206,10 +210,10 @@ def train_stepper(
         run.seconds = time.perf_counter() - clock
         progress = budget.progress(run.step, run.seconds)
         if run.step > validated and progress >= min(1.0, run.next_validation):
-            run.next_validation = (
-                math.floor(progress * config.validations) + 1
-            ) / config.validations
             _validate(training, validate=validate, keep=keep)
+            cost = budget.progress(0, time.perf_counter() - clock - run.seconds)
+            following = (math.floor(progress * config.validations) + 1) / config.validations
+            run.next_validation = max(following, progress + (1 + VALIDATION_GAP) * cost)
             training.save()
             validated = run.step
         if progress >= 1.0:

@@ -87,7 +87,8 @@ class TrainingConfig:
     """Precision of the matrix products; ``auto`` takes bfloat16 where the machine computes it."""
 
     validations: int = 12
-    """Validation rollouts over the budget, evenly spaced."""
+    """Validation rollouts over the budget, evenly spaced; fewer where they would take more than a
+    fifth of a budget of minutes."""
 
     validation_frames: int = 100
     """Frames of a validation rollout, as far as the trajectories reach."""
@@ -121,10 +122,10 @@ class TrainingConfig:
                     f"TrainingConfig.{name} must be >= 0, got {getattr(self, name)!r}."
                 )
         self._check_objective()
+        self._check_unroll()
         self._check_shares()
 
-    def _check_objective(self) -> None:
-        self._check_objective()
+    def _check_unroll(self) -> None:
         for stage in self.unroll or []:
             if len(stage) != 2 or not 0.0 <= stage[0] < 1.0 or not stage[1] >= 1:
                 raise ValueError(
