@@ -12,6 +12,7 @@ sample's own velocity survives a transfer.
 """
 
 from dataclasses import dataclass, replace
+from importlib.util import find_spec
 from typing import Literal
 
 import torch
@@ -105,9 +106,12 @@ class GridStepper(nn.Module):
         motion = self._begin(state) if state.memory is None else self._recall(state)
         target = state.position if prescribed is None else prescribed
         pushed = (target - state.position) / state.frame_dt
-        dt = state.frame_dt / self.config.substeps
-        for _ in range(self.config.substeps):
-            motion = self._substep(motion, state, grid, pushed, dt=dt)
+        if not torch.is_grad_enabled() and _has_kernels(state.position):
+            motion = self._advanced(motion, state, grid, pushed)
+        else:
+            dt = state.frame_dt / self.config.substeps
+            for _ in range(self.config.substeps):
+                motion = self._substep(motion, state, grid, pushed, dt=dt)
         position = torch.where(state.kinematic[:, None], target, motion.position)
         history = torch.cat([state.history[:, 1:], position[:, None]], dim=1)
         return replace(state, history=history, memory=self._remember(motion, position))
@@ -116,6 +120,49 @@ class GridStepper(nn.Module):
         """The state of undeformed samples with a known velocity [m/s]."""
         motion = self._at_rest(state, velocity - self._half_kick(state))
         return replace(state, memory=self._remember(motion, state.position))
+
+    def _advanced(
+        self, motion: _Motion, state: SparseState, grid: SplineGrid, pushed: Float[Tensor, "q d"]
+    ) -> _Motion:
+        """All substeps of a frame by the kernels of ``grid_kernels.py``; no gradients."""
+        from giorom.layers.grid_kernels import CONSTANTS, advance_samples
+
+        held, volume = state.kinematic, self._weight(state).contiguous()
+        moved = _Motion(
+            position=motion.position.clone(memory_format=torch.contiguous_format),
+            velocity=torch.where(held[:, None], pushed, motion.velocity),
+            gradient=motion.gradient.clone(memory_format=torch.contiguous_format),
+            strain=Strain(
+                isochoric=motion.strain.isochoric.clone(memory_format=torch.contiguous_format),
+                volume_ratio=motion.strain.volume_ratio.clone(
+                    memory_format=torch.contiguous_format
+                ),
+            ),
+        )
+        table = torch.stack([getattr(self.law, f"log_{name}").exp() for name in CONSTANTS], dim=1)
+        advance_samples(
+            grid,
+            position=moved.position,
+            velocity=moved.velocity,
+            gradient=moved.gradient,
+            strain=moved.strain,
+            particle_type=state.particle_type.long(),
+            batch=state.batch,
+            held=held,
+            volume=volume,
+            mass=torch.where(held, HELD_MASS * volume, volume),
+            table=table.detach().contiguous(),
+            gravity=self.gravity,
+            bounds=state.bounds,
+            own_share=float(self.own_share),
+            sticks=self.config.wall_contact == "stick",
+            beyond=BEYOND * grid.spacing,
+            lightest=LIGHTEST,
+            scenes=state.batch_size,
+            substeps=self.config.substeps,
+            dt=state.frame_dt / self.config.substeps,
+        )
+        return moved
 
     def _substep(
         self,
@@ -143,9 +190,10 @@ class GridStepper(nn.Module):
         position = (motion.position + dt * smooth).clamp(
             state.bounds[:, 0] - reach, state.bounds[:, 1] + reach
         )
+        velocity = smooth + self.own_share * (kept - smooth)
         return _Motion(
             position=position,
-            velocity=smooth + self.own_share * (kept - smooth),
+            velocity=torch.where(held[:, None], pushed, velocity),
             gradient=gradient,
             strain=self.law.flow(motion.strain, gradient, state.particle_type, dt=dt),
         )
@@ -268,3 +316,8 @@ def _wall_nodes(
     tolerance = 1e-3 * grid.spacing
     lower = grid.node_position <= bounds[:, 0] + tolerance
     return lower, grid.node_position >= bounds[:, 1] - tolerance
+
+
+def _has_kernels(position: Tensor) -> bool:
+    """Whether the fast path is there: Warp, and single precision."""
+    return position.dtype == torch.float32 and find_spec("warp") is not None

@@ -5,7 +5,9 @@ offsets of the nodes, weighted so, add up to zero: sums over points that are han
 and back keep mass, momentum and angular momentum.
 """
 
+import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from jaxtyping import Float, Int
@@ -48,13 +50,18 @@ class SplineGrid:
             *[torch.arange(3, device=bounds.device)] * self.dimension
         )
         self.last_base = bounds.new_tensor(self.shape) - 3
-        axes = [torch.arange(n, dtype=bounds.dtype, device=bounds.device) for n in self.shape]
-        self.node_position = self.origin + torch.cartesian_prod(*axes) * spacing
 
     @property
     def node_count(self) -> int:
         """Nodes of one scene."""
-        return len(self.node_position)
+        return math.prod(self.shape)
+
+    @cached_property
+    def node_position(self) -> Float[Tensor, "n d"]:
+        """Places of the nodes of one scene [m]."""
+        like = {"dtype": self.origin.dtype, "device": self.origin.device}
+        axes = [torch.arange(n, **like) for n in self.shape]
+        return self.origin + torch.cartesian_prod(*axes) * self.spacing
 
     @property
     def inverse_moment(self) -> float:

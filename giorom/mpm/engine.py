@@ -6,7 +6,6 @@ runs on a contiguous range; what is read back is in the order of the scene. The 
 frame are recorded once and replayed where the device allows it.
 """
 
-import os
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,6 +19,7 @@ from giorom.mpm.device_laws import FAMILIES, LAW_CONSTANTS, Constants
 from giorom.mpm.materials import Material
 from giorom.mpm.scene import Scene
 from giorom.mpm.transfer import build_grid_kernels, build_law_kernels
+from giorom.warp_start import start_warp
 
 MOST_RECORDED = 100
 """Most substeps recorded together: recording one costs the time of some, replaying nothing."""
@@ -251,20 +251,12 @@ class Engine:
 
 
 def _open_device(name: str) -> Any:
-    """Start Warp, without its complaint about a missing GPU where none is asked for.
+    """Start Warp and find a device.
 
     Raises:
         ValueError: If there is no such device.
     """
-    if name == "cpu":
-        complaints = os.dup(2)
-        with open(os.devnull, "w") as nowhere:
-            os.dup2(nowhere.fileno(), 2)
-        try:
-            wp.init()
-        finally:
-            os.dup2(complaints, 2)
-            os.close(complaints)
+    start_warp(name)
     try:
         return wp.get_device(name)
     except (RuntimeError, ValueError) as error:
