@@ -1,8 +1,10 @@
 """Start NVIDIA Warp without its complaint about a missing GPU where none is asked for."""
 
 import os
+from functools import cache
 
 
+@cache
 def start_warp(device: str) -> None:
     """Initialise Warp once; on the CPU its messages about drivers are not shown.
 
