@@ -19,7 +19,7 @@ def number(value: float | None, *, spread: float | None = None) -> str:
     """Three digits, with a spread; a dash where there is no number."""
     if value is None:
         return "-"
-    return f"{value:.3g}" if spread is None else f"{value:.3g} ± {spread:.1g}"
+    return f"{value:.3g}" if spread is None else f"{value:.3g} ± {spread:.2g}"
 
 
 def against_paper(models: Models) -> str:
@@ -152,7 +152,7 @@ def swings(models: Models) -> str:
         if scores.get("swing_period") is not None:
             keys = ("period", "period_ratio", "period_deviation", "amplitude_ratio")
             values = [number(scores[f"swing_{key}"]) for key in (*keys, "amplitude_deviation")]
-            rows.append([name, number(scores["swing_seen"]), *values])
+            rows.append([name, number(scores.get("swing_seen")), *values])
     text = (
         "## Swinging bodies\n\nThe first principal component of the true displacements of all "
         "particles, and the part of the predicted ones in it; period of the sine that explains "
