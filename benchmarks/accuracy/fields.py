@@ -4,8 +4,8 @@
 
 The name of a folder is that of the preset its data were made with. Every field that learns has the
 same time. Held-out trajectories are those of the test split, then of the validation split; neither
-was used for training. Results of a system replace those of an earlier run of it in ``fields.json``
-beside the report and leave the other systems alone.
+was used for training. Results replace those of an earlier run for the same system and kind in
+``fields.json`` beside the report and leave the others alone.
 """
 
 import argparse
@@ -33,6 +33,9 @@ from giorom.training.field_loop import thin, train_field
 
 FRAMES = (20, 50, 100, 200, 400)
 """Frames at which the error is reported, beside the last one and the mean of all."""
+
+SECONDS_OF_NOTHING = 0.05
+"""What takes less counts as nothing to fit [s]."""
 
 MODES = 32
 """Modes of both linear bases, and length of the autoencoder's latent vector."""
@@ -70,8 +73,9 @@ def main(arguments: list[str] | None = None) -> int:
     known = json.loads(file.read_text()) if file.is_file() else {}
     for folder in options.data:
         print(f"{folder.name}", flush=True)
-        known.setdefault(folder.name, {})
-        known[folder.name] |= measure_system(folder, options)
+        found = measure_system(folder, options)
+        earlier = known.get(folder.name, {}).get("kinds", {})
+        known[folder.name] = found | {"kinds": earlier | found["kinds"]}
         write_json(file, known)
     options.out.write_text(report(known), encoding="utf-8")
     return 0
@@ -241,11 +245,19 @@ def _table(kinds: dict[str, Any], what: str, form: str, *, best: bool) -> str:
             overall = _spread([result["mean"] for result in results], form)
             cells += [
                 f"**{overall}**" if kind == winner else overall,
-                f"{value['training']['seconds']:.0f}",
+                _training(value["training"]),
                 f"{1e3 * _mean([result['seconds_per_frame'] for result in results]):.1f}",
             ]
         lines.append("| " + " | ".join([f"`{kind}`", *cells]) + " |")
     return "\n".join(lines) + "\n"
+
+
+def _training(training: dict[str, Any]) -> str:
+    """Seconds and steps; a dash where nothing is fitted."""
+    if training["seconds"] < SECONDS_OF_NOTHING:
+        return "-"
+    steps = f" ({training['steps']} steps)" if training["steps"] else ""
+    return f"{training['seconds']:.0f}{steps}"
 
 
 def _spread(values: list[float], form: str) -> str:

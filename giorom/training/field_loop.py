@@ -111,7 +111,8 @@ def train_field(
         mean = value if math.isnan(mean) else 0.98 * mean + 0.02 * value
         step += 1
         report({"loss": mean, "progress": share, "step": step})
-    return {"steps": step, "seconds": time.perf_counter() - start, "relative_error": mean**0.5}
+    result = {"steps": step, "seconds": time.perf_counter() - start}
+    return result | ({"relative_error": mean**0.5} if step else {})
 
 
 def _draw(
