@@ -42,6 +42,7 @@ from giorom.training.loop import (
     append_log,
     train_stepper,
 )
+from giorom.training.search import StepperSearch, searched_entries
 from giorom.training.skip import fit_skip
 from giorom.version import __version__
 
@@ -250,6 +251,9 @@ def train(
     data = load_training_data(experiment, data_folder)
     report("note", {"text": str(data.choice)})
     simulator = build_simulator(experiment, data)
+    searches = experiment.training.optimizer == "cma"
+    if searches:
+        searched_entries(simulator.dynamics, data.windows)
     coverage = None
     if isinstance(simulator.dynamics, Dynamics):
         network = simulator.dynamics.time_stepper
@@ -265,7 +269,7 @@ def train(
     if _has_skip(simulator) and not interrupted:
         _fit_skip(simulator, experiment, data, out=out, budget=budget, seed=seed, report=report)
     simulator.to(device)
-    training = StepperTraining(
+    training = (StepperSearch if searches else StepperTraining)(
         simulator.dynamics,
         experiment.training,
         windows=data.windows,

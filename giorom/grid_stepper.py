@@ -16,7 +16,7 @@ from importlib.util import find_spec
 from typing import Literal
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
 from giorom.graph import Edges
@@ -33,7 +33,7 @@ BEYOND = 0.5
 GRADIENT_STEPS = 4
 """Passes that find the velocity gradient at the start."""
 
-START_BLEND = 0.9
+START_BLEND = 0.8
 """Share of its own velocity that a sample keeps at first: coarse grids damp much."""
 
 LIGHTEST = 1e-9
@@ -93,6 +93,11 @@ class GridStepper(nn.Module):
     def own_share(self) -> Float[Tensor, ""]:
         """Share of its own velocity that a sample keeps in a transfer (FLIP); the rest is APIC."""
         return self.blend_logit.sigmoid()
+
+    def searched(self, particle_type: Int[Tensor, " q"]) -> dict[str, Bool[Tensor, "..."]]:
+        """Which entries of each parameter matter where some particle types occur."""
+        law = {f"law.{name}": mask for name, mask in self.law.used(particle_type).items()}
+        return law | {"blend_logit": torch.tensor(True)}
 
     def step(
         self,

@@ -184,3 +184,26 @@ def test_the_exponent_chooses_how_the_bulk_stiffens(exponent, law_of_ratio):
     strain = replace(rest(law, WATER, 7), volume_ratio=ratio)
     found = law.stress(strain, types(WATER, 7))[:, 0, 0]
     torch.testing.assert_close(found, START["bulk"] * law_of_ratio(ratio), atol=5e-3, rtol=0.0)
+
+
+@pytest.mark.parametrize("kind", [RIGID, PLASTICINE, WATER, SAND, GOOP, ELASTIC])
+def test_a_constant_is_used_where_changing_it_changes_the_stress(kind):
+    """Each is raised by a tenth, under a strain below and one above what the material bears."""
+    changed = set()
+    squeeze = -40.0 * torch.eye(2, dtype=torch.float64)[None]
+
+    def stress(law):
+        strains = [rest(law, kind)]
+        for rate in (1.0, 60.0, 60.0):
+            gradient = squeeze + pure_shear(2, rate)
+            strains.append(law.flow(strains[-1], gradient, types(kind), dt=DT))
+        return torch.cat([law.stress(strain, types(kind)) for strain in strains])
+
+    for name in START:
+        law = law_in_double(2)
+        law.get_parameter(f"log_{name}")[kind] += 0.1
+        if not torch.allclose(stress(law), stress(law_in_double(2)), rtol=1e-9, atol=1e-9):
+            changed.add(f"log_{name}")
+    used = law_in_double(2).used(types(kind, 3))
+    assert {name for name, mask in used.items() if mask.any()} == changed
+    assert all(mask.nonzero().flatten().tolist() in ([], [kind]) for mask in used.values())

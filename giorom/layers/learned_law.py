@@ -21,24 +21,34 @@ Source:
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
-from giorom.state import ELASTIC, GOOP, PARTICLE_TYPE_COUNT, RIGID, SAND, WATER
+from giorom.state import ELASTIC, GOOP, PARTICLE_TYPE_COUNT, PLASTICINE, RIGID, SAND, WATER
 
 SOLID = (RIGID, ELASTIC)
 """Particle types that never yield."""
 
 START = {
-    "bulk": 100.0,
-    "shear": 50.0,
+    "bulk": 200.0,
+    "shear": 100.0,
     "exponent": 1.0,
-    "strength": 3.0,
-    "friction": 0.7,
-    "relaxation": 5e-3,
+    "strength": 1.0,
+    "friction": 0.8,
+    "relaxation": 1e-3,
 }
-"""Constants every law starts from: a wave speed of 10 m/s, a strength that a fall of a few
-decimetres exceeds, the friction of dry sand."""
+"""Constants every law starts from: a wave speed of 14 m/s, a strength that a fall of a
+decimetre exceeds, the friction of dry sand."""
+
+USERS = {
+    "bulk": (RIGID, PLASTICINE, WATER, SAND, GOOP, ELASTIC),
+    "shear": (RIGID, PLASTICINE, SAND, GOOP, ELASTIC),
+    "exponent": (RIGID, PLASTICINE, WATER, SAND, GOOP, ELASTIC),
+    "strength": (PLASTICINE, GOOP),
+    "friction": (SAND,),
+    "relaxation": (GOOP,),
+}
+"""Materials whose motion each constant changes."""
 
 NEWTON_STEPS = 5
 """Iterations for the trace of the isochoric tensor; its error is then below rounding."""
@@ -77,6 +87,15 @@ class LearnedLaw(nn.Module):
             isochoric=identity.repeat(count, 1, 1),
             volume_ratio=identity.new_ones(count),
         )
+
+    def used(self, particle_type: Int[Tensor, " q"]) -> dict[str, Bool[Tensor, " c"]]:
+        """Which entries of each parameter matter for the motion of some materials."""
+        kinds = torch.arange(PARTICLE_TYPE_COUNT)
+        present = torch.isin(kinds, particle_type.cpu())
+        return {
+            f"log_{name}": present & torch.isin(kinds, torch.tensor(users))
+            for name, users in USERS.items()
+        }
 
     def constant(self, name: str, particle_type: Int[Tensor, " q"]) -> Float[Tensor, " q"]:
         """One constant of every sample."""

@@ -72,11 +72,12 @@ class SplineGrid:
         """Nodes, weights and offsets of points.
 
         Args:
-            position: Points [m]; those beyond the margin touch the outermost nodes.
+            position: Points [m]; those beyond the margin touch the outermost nodes, those that
+                are not finite some node, with weights that are not finite.
             batch: Scene of each point.
         """
         place = (position - self.origin) / self.spacing
-        base = torch.floor(place.detach() - 0.5).clamp_min(0.0)
+        base = torch.floor(place.detach() - 0.5).nan_to_num(0.0).clamp_min(0.0)
         base = torch.minimum(base, self.last_base)
         f = (place - base).clamp(0.5, 1.5)
         each = torch.stack(

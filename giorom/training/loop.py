@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import torch
 from torch import Tensor, nn
@@ -62,8 +62,29 @@ class RunState:
     history: list[dict[str, Any]] | None = None
 
 
+@runtime_checkable
+class Trainer(Protocol):
+    """What ``train_stepper`` trains with: by gradients here, without them in ``search.py``."""
+
+    config: TrainingConfig
+    windows: Windows
+    seed: int
+    folder: Path
+    run: RunState
+    smoothing: float
+
+    def train_step(self, numbers: list[int], *, progress: float) -> float:
+        """One step on the windows ``numbers``; returns the loss."""
+
+    def chosen(self) -> nn.Module:
+        """The model that is validated and kept."""
+
+    def save(self) -> None:
+        """Write a checkpoint."""
+
+
 class StepperTraining:
-    """Training of a time-stepper: model, average, optimiser, counters.
+    """Training of a time-stepper by gradients: model, average, optimiser, counters.
 
     Args:
         dynamics: Model to train.
@@ -73,6 +94,9 @@ class StepperTraining:
         seed: Seed of batches, noise and turns.
         folder: Directory of the run.
     """
+
+    smoothing = 0.99
+    """Decay of the running average of the loss that is reported."""
 
     def __init__(
         self,
@@ -101,6 +125,10 @@ class StepperTraining:
             dynamics, multi_avg_fn=get_ema_multi_avg_fn(config.average_decay)
         )
         self.run = RunState(history=[])
+
+    def chosen(self) -> nn.Module:
+        """The averaged model."""
+        return self.average.module
 
     def resume(self) -> None:
         """Continue from the newest checkpoint of the run.
@@ -137,7 +165,11 @@ class StepperTraining:
         )
 
     def train_step(self, numbers: list[int], *, progress: float) -> float:
-        """One optimiser step on the windows ``numbers``; returns the loss."""
+        """One optimiser step on the windows ``numbers``; returns the loss.
+
+        Raises:
+            FloatingPointError: If the loss is not finite.
+        """
         config = self.config
         generator = step_generator(self.seed + 1, self.run.step)
         batch = concatenate_windows([self.windows[number] for number in numbers])
@@ -154,7 +186,12 @@ class StepperTraining:
             self.accelerator.clip_grad_norm_(self.model.parameters(), config.gradient_clip)
         self.optimizer.step()
         self.average.update_parameters(self.accelerator.unwrap_model(self.model))
-        return float(loss.detach())
+        if not math.isfinite(value := float(loss.detach())):
+            raise FloatingPointError(
+                f"the training loss is {value} at step {self.run.step}. Lower "
+                f"TrainingConfig.learning_rate ({config.learning_rate:g}) and train again."
+            )
+        return value
 
     def _loss(self, batch: WindowBatch, generator: torch.Generator, *, progress: float) -> Tensor:
         """The loss of the stage of training that ``progress`` falls into."""
@@ -178,7 +215,7 @@ class StepperTraining:
 
 
 def train_stepper(
-    training: StepperTraining,
+    training: Trainer,
     budget: Budget,
     *,
     validate: Callable[[nn.Module], dict[str, float]],
@@ -190,8 +227,8 @@ def train_stepper(
     Args:
         training: What is trained.
         budget: When to stop.
-        validate: Scores of the averaged model; ``rollout_mse`` decides which is best.
-        keep: Called with the averaged model whenever it is the best so far.
+        validate: Scores of the chosen model; ``rollout_mse`` decides which is best.
+        keep: Called with the chosen model whenever it is the best so far.
         report: Called after every step with numbers for a progress bar.
 
     Returns:
@@ -219,35 +256,32 @@ def train_stepper(
         if progress >= 1.0:
             break
         loss = training.train_step(numbers, progress=progress)
-        if not math.isfinite(loss):
-            raise FloatingPointError(
-                f"the training loss is {loss} at step {run.step}. Lower "
-                f"TrainingConfig.learning_rate ({config.learning_rate:g}) and train again."
-            )
-        run.loss = loss if math.isnan(run.loss) else 0.99 * run.loss + 0.01 * loss
+        old = training.smoothing if math.isfinite(run.loss) else 0.0
+        run.loss = old * run.loss + (1.0 - old) * loss if old else loss
         run.step += 1
         report({"loss": run.loss, "progress": progress, "rollout_mse": run.best, "step": run.step})
     return run
 
 
 def _validate(
-    training: StepperTraining,
+    training: Trainer,
     *,
     validate: Callable[[nn.Module], dict[str, float]],
     keep: Callable[[nn.Module], None],
 ) -> None:
-    """Score the averaged model, log it, keep it if it is the best so far; JSON has no infinity."""
-    run = training.run
-    training.average.module.eval()
-    scores = validate(training.average.module)
-    training.average.module.train()
-    known = {name: value if math.isfinite(value) else None for name, value in scores.items()}
-    entry = {"step": run.step, "seconds": run.seconds, "loss": run.loss, **known}
+    """Score the chosen model, log it, keep it if it is the best so far; JSON has no infinity."""
+    run, model = training.run, training.chosen()
+    model.eval()
+    scores = validate(model)
+    model.train()
+    numbers = {"loss": run.loss, **scores}
+    known = {name: value if math.isfinite(value) else None for name, value in numbers.items()}
+    entry = {"step": run.step, "seconds": run.seconds, **known}
     run.history = [*(run.history or []), entry]
     append_log(training.folder / "log.jsonl", {"stage": "time_stepper", **entry})
     if scores["rollout_mse"] < run.best:
         run.best = scores["rollout_mse"]
-        keep(training.average.module)
+        keep(model)
 
 
 def append_log(path: Path, entry: dict[str, Any]) -> None:

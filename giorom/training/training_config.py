@@ -9,10 +9,12 @@ class TrainingConfig:
     """How the time-stepper is trained."""
 
     batch_size: int = 4
-    """Windows per optimiser step."""
+    """Windows per optimiser step; those of ``cma`` are shared by the candidates of a step."""
 
-    optimizer: Literal["adamax", "adam", "adamw", "nadam"] = "adamax"
-    """Optimiser (Adamax in the paper)."""
+    optimizer: Literal["adamax", "adam", "adamw", "nadam", "cma"] = "adamax"
+    """Optimiser (Adamax in the paper); ``cma`` searches a few learned values without gradients,
+    one generation of candidates a step, and uses none of the values from ``learning_rate`` to
+    ``gradient_clip``, no ``average_decay`` and no ``precision``."""
 
     learning_rate: float = 1e-4
     """Learning rate at the start."""
@@ -147,6 +149,11 @@ class TrainingConfig:
             )
 
     def _check_objective(self) -> None:
+        if self.optimizer == "cma" and self.objective != "motion":
+            raise ValueError(
+                f"TrainingConfig.optimizer 'cma' compares whole motions: objective must be "
+                f"'motion', got {self.objective!r}. Change it, or take another optimizer."
+            )
         if self.objective == "motion" and (self.pushforward or self.huber is not None):
             raise ValueError(
                 f"TrainingConfig.pushforward={self.pushforward!r} and huber={self.huber!r} belong "
