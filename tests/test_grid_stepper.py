@@ -250,3 +250,16 @@ def test_the_kernels_do_what_the_tensors_do(dimension, contact, kind):
             fast = model.step(fast, unconnected(fast), told)
     torch.testing.assert_close(fast.position, slow.position, atol=2e-6, rtol=0.0)
     torch.testing.assert_close(fast.memory, slow.memory, atol=2e-3, rtol=1e-3)
+
+
+@DIMENSIONS
+@pytest.mark.parametrize("lost", [math.nan, math.inf, -math.inf, 1e30])
+def test_a_lost_sample_does_no_harm(dimension, lost):
+    """The kernels survive places and strains that are no numbers; the grid is not left."""
+    model = stepper(dimension)
+    state, velocity = block(dimension, side=3)
+    state = model.start(state, velocity)
+    history, memory = state.history.clone(), state.memory.clone()
+    history[0, -1], memory[1, -1], memory[2, dimension] = lost, lost, lost
+    later = model.step(replace(state, history=history, memory=memory), unconnected(state))
+    assert later.position.shape == state.position.shape

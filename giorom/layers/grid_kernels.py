@@ -92,7 +92,8 @@ def _stencil(dimension: int) -> SimpleNamespace:  # noqa: C901  (counts the func
         base = whole()
         for axis in range(dimension):
             place = wp.floor((x[axis] - origin[axis]) / spacing - 0.5)
-            base[axis] = int(wp.clamp(place, 0.0, float(shape[axis] - 3)))
+            # A lost sample must not write outside the grid: not a number becomes the first node.
+            base[axis] = wp.clamp(int(wp.clamp(place, 0.0, float(shape[axis]))), 0, shape[axis] - 3)
         return base
 
     @wp.func
@@ -113,13 +114,13 @@ def _stencil(dimension: int) -> SimpleNamespace:  # noqa: C901  (counts the func
         return w
 
     @wp.func
-    def entry(n: int):
-        """Offsets 0..2 on each axis of the n-th of the 3^d nodes."""
+    def entry(i: int, j: int, k: int):
+        """Offsets of a node from the first one."""
         where = whole()
-        rest = n
-        for axis in range(dimension):
-            where[dimension - 1 - axis] = rest % 3
-            rest = rest / 3
+        where[0] = i
+        where[1] = j
+        if wp.static(dimension == 3):
+            where[2] = k
         return where
 
     @wp.func
@@ -147,7 +148,7 @@ def _to_grid(dimension: int, law: SimpleNamespace, around: SimpleNamespace, modu
     base_node, fraction, spline = around.base_node, around.fraction, around.spline
     entry, number, stress = around.entry, around.number, law.stress
     node = wp.types.vector(2 * dimension + 1, dtype=float)
-    count = 3**dimension
+    layers = 3 if dimension == 3 else 1
 
     @wp.kernel(module=module, enable_backward=False)
     def to_grid(  # noqa: PLR0917
@@ -174,22 +175,24 @@ def _to_grid(dimension: int, law: SimpleNamespace, around: SimpleNamespace, modu
         type_of = int(kind[p])
         tau = stress(b[p], ratio[p], type_of, table[type_of])
         push = (-4.0 * volume[p] / (spacing * spacing)) * tau
-        for n in range(wp.static(count)):
-            where = entry(n)
-            weight = float(1.0)
-            offset = vector()
-            for axis in range(dimension):
-                weight = weight * w[where[axis], axis]
-                offset[axis] = (float(where[axis]) - f[axis]) * spacing
-            share = weight * mass[p]
-            momentum = share * (v[p] + gradient[p] * offset)
-            force = weight * (push * offset)
-            value = node()
-            for axis in range(dimension):
-                value[axis] = momentum[axis]
-                value[dimension + axis] = force[axis]
-            value[2 * dimension] = share
-            wp.atomic_add(grid, int(scene[p]) * nodes + number(base, where, shape), value)
+        first = int(scene[p]) * nodes
+        for i in range(3):
+            for j in range(3):
+                for k in range(wp.static(layers)):
+                    where = entry(i, j, k)
+                    offset = spacing * (vector(where) - f)
+                    weight = w[i, 0] * w[j, 1]
+                    if wp.static(dimension == 3):
+                        weight = weight * w[k, 2]
+                    share = weight * mass[p]
+                    momentum = share * (v[p] + gradient[p] * offset)
+                    force = weight * (push * offset)
+                    value = node()
+                    for axis in range(dimension):
+                        value[axis] = momentum[axis]
+                        value[dimension + axis] = force[axis]
+                    value[2 * dimension] = share
+                    wp.atomic_add(grid, first + number(base, where, shape), value)
 
     return to_grid
 
@@ -246,7 +249,7 @@ def _to_samples(dimension: int, law: SimpleNamespace, around: SimpleNamespace, m
     base_node, fraction, spline = around.base_node, around.fraction, around.spline
     entry, number, returned = around.entry, around.number, law.returned
     node = wp.types.vector(2 * dimension + 1, dtype=float)
-    count = 3**dimension
+    layers = 3 if dimension == 3 else 1
 
     @wp.kernel(module=module, enable_backward=False)
     def to_samples(  # noqa: PLR0917
@@ -276,20 +279,21 @@ def _to_samples(dimension: int, law: SimpleNamespace, around: SimpleNamespace, m
         smooth = vector()
         change = vector()
         slope = matrix()
-        for n in range(wp.static(count)):
-            where = entry(n)
-            weight = float(1.0)
-            offset = vector()
-            for axis in range(dimension):
-                weight = weight * w[where[axis], axis]
-                offset[axis] = (float(where[axis]) - f[axis]) * spacing
-            value = grid[int(scene[p]) * nodes + number(base, where, shape)]
-            after = vector()
-            for axis in range(dimension):
-                after[axis] = weight * value[dimension + axis]
-                change[axis] = change[axis] - weight * value[axis]
-            smooth = smooth + after
-            slope = slope + wp.outer(after, offset)
+        first = int(scene[p]) * nodes
+        for i in range(3):
+            for j in range(3):
+                for k in range(wp.static(layers)):
+                    where = entry(i, j, k)
+                    weight = w[i, 0] * w[j, 1]
+                    if wp.static(dimension == 3):
+                        weight = weight * w[k, 2]
+                    value = grid[first + number(base, where, shape)]
+                    after = vector()
+                    for axis in range(dimension):
+                        after[axis] = weight * value[dimension + axis]
+                        change[axis] = change[axis] - weight * value[axis]
+                    smooth = smooth + after
+                    slope = slope + wp.outer(after, spacing * (vector(where) - f))
         change = change + smooth
         slope = (4.0 / (spacing * spacing)) * slope
         kept = v[p] + change
