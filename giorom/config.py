@@ -13,6 +13,7 @@ from typing import Any, Literal
 
 import yaml
 
+from giorom.body_stepper import BodyStepperConfig
 from giorom.features import FeatureConfig
 from giorom.fields import FieldConfig
 from giorom.graph import GraphConfig
@@ -107,6 +108,9 @@ class Experiment:
     grid_stepper: GridStepperConfig | None = None
     """The coarse grid that moves the samples instead of the network; null: the network does."""
 
+    body_stepper: BodyStepperConfig | None = None
+    """The grid fixed to the undeformed body that does, for soft bodies; null: the others do."""
+
     field: FieldConfig = default(default_factory=FieldConfig)
     """What recovers all particles."""
 
@@ -118,18 +122,33 @@ class Experiment:
 
     def __post_init__(self) -> None:
         """Reject what cannot be built or trained, before any data are read for it."""
-        if self.grid_stepper is not None and self.training.objective != "motion":
+        if self.grid_stepper is not None and self.body_stepper is not None:
             raise ValueError(
-                f"a grid_stepper is trained on whole motions: training.objective must be 'motion', "
-                f"got {self.training.objective!r}. Change it, or set grid_stepper to null to train "
-                f"the network."
+                "an experiment has one time-stepper, but both grid_stepper and body_stepper are "
+                "given. Set one of them to null."
             )
-        if self.grid_stepper is None:
+        if not self.uses_network and self.training.objective != "motion":
+            raise ValueError(
+                f"a grid_stepper or body_stepper is trained on whole motions: training.objective "
+                f"must be 'motion', got {self.training.objective!r}. Change it, or set the stepper "
+                f"to null to train the network."
+            )
+        if self.body_stepper is not None and self.training.turn:
+            raise ValueError(
+                "training.turn is true, but the law of body_stepper is the same in every "
+                "direction: turned scenes teach it nothing. Set training.turn to false."
+            )
+        if self.uses_network:
             self.time_stepper.build(
                 dimension=self.scene.dimension,
                 features=self.features,
                 latent_bounds=[[0.0, 1.0]] * self.scene.dimension,
             )
+
+    @property
+    def uses_network(self) -> bool:
+        """Whether a network moves the samples, and no grid does."""
+        return self.grid_stepper is None and self.body_stepper is None
 
 
 def preset_names() -> list[str]:

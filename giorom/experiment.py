@@ -182,7 +182,7 @@ def build_simulator(experiment: Experiment, data: TrainingData) -> Simulator:
     """An untrained simulator for a data set."""
     dimension = int(data.metadata["dim"])
     network = None
-    if experiment.grid_stepper is None:
+    if experiment.uses_network:
         network = experiment.time_stepper.build(
             dimension=dimension,
             features=experiment.features,
@@ -200,14 +200,20 @@ def build_simulator(experiment: Experiment, data: TrainingData) -> Simulator:
             normalization=fit_normalization(experiment, data.metadata),
             time_stepper=network,
             grid_stepper=experiment.grid_stepper,
+            body_stepper=experiment.body_stepper,
             field=experiment.field,
             scene=experiment.scene,
             solver=experiment.solver,
         )
     )
-    if network is None:
+    if network is None and not _all_held(data.windows.trajectories):
         simulator.dynamics.gravity.copy_(first_acceleration(data.windows.trajectories))
     return simulator
+
+
+def _all_held(trajectories: list[SampledTrajectory]) -> bool:
+    """Whether every body is held, so that its first acceleration says nothing about gravity."""
+    return all(t.body is not None and bool(t.body.kinematic.any()) for t in trajectories)
 
 
 def first_acceleration(trajectories: list[SampledTrajectory]) -> Tensor:

@@ -15,7 +15,7 @@ from giorom.graph import Edges, connect_points
 from giorom.integrate import advance
 from giorom.normalization import Normalization
 from giorom.sampling import represented_particles
-from giorom.state import SparseState, Trajectory
+from giorom.state import Body, SparseState, Trajectory
 
 Acceleration = Callable[[SparseState, Edges], Tensor]
 """Stage 4: accelerations [m/s^2] of the samples, shape (q, d), from their state and graph."""
@@ -176,6 +176,7 @@ def start_from_velocity(
     frame_dt: float,
     history: int,
     weight: Float[Tensor, " q"] | None = None,
+    body: Body | None = None,
 ) -> SparseState:
     """A sparse state at rest shape and given velocity; earlier frames are its straight past.
 
@@ -187,6 +188,7 @@ def start_from_velocity(
         frame_dt: Time between frames [s].
         history: Frames the time-stepper looks back on.
         weight: Full-order particles each sample stands for.
+        body: The body they are samples of.
     """
     steps = torch.arange(history - 1, -1, -1, dtype=reference.dtype, device=reference.device)
     past = reference[:, None] - velocity[:, None] * (steps * frame_dt)[None, :, None]
@@ -199,6 +201,7 @@ def start_from_velocity(
         bounds=bounds,
         frame_dt=frame_dt,
         weight=weight,
+        bodies=None if body is None else (body,),
     )
 
 
@@ -227,4 +230,5 @@ def start_from_trajectory(
         bounds=trajectory.bounds,
         frame_dt=trajectory.frame_dt,
         weight=represented_particles(trajectory.position[0], samples),
+        bodies=(trajectory.body,),
     )

@@ -17,6 +17,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 
+from giorom.body_stepper import BodyStepper, BodyStepperConfig
 from giorom.features import FeatureConfig
 from giorom.fields import FieldConfig, FieldDecoder, build_field
 from giorom.graph import GraphConfig
@@ -34,7 +35,7 @@ from giorom.pipeline import (
 )
 from giorom.records import nearest, one_line, parse_record
 from giorom.sampling import SamplingConfig, represented_particles, sample
-from giorom.state import KINEMATIC, SparseState, Trajectory
+from giorom.state import KINEMATIC, Body, SparseState, Trajectory
 from giorom.time_stepper import TimeStepper, TimeStepperConfig
 from giorom.version import __version__
 
@@ -91,6 +92,9 @@ class SimulatorConfig:
     grid_stepper: GridStepperConfig | None = None
     """Stages 4 and 5 by a coarse grid instead of a network; or none."""
 
+    body_stepper: BodyStepperConfig | None = None
+    """Stages 4 and 5 by a grid fixed to the undeformed body; or none."""
+
     def __post_init__(self) -> None:
         """Reject parts that do not fit together."""
         found = {
@@ -104,10 +108,11 @@ class SimulatorConfig:
                     f"SimulatorConfig.dimension is {self.dimension}, but {name} is made for "
                     f"{dimension}. All parts need the same one."
                 )
-        if (self.time_stepper is None) == (self.grid_stepper is None):
+        steppers = (self.time_stepper, self.grid_stepper, self.body_stepper)
+        if sum(stepper is not None for stepper in steppers) != 1:
             raise ValueError(
-                "SimulatorConfig needs time_stepper or grid_stepper, and not both: one of them "
-                "moves the samples."
+                "SimulatorConfig needs exactly one of time_stepper, grid_stepper and body_stepper: "
+                "one of them moves the samples."
             )
         if self.time_stepper is not None:
             self._check_network(self.time_stepper)
@@ -146,7 +151,7 @@ class Simulator(nn.Module):
     @property
     def connect(self) -> Connect:
         """Stage 3 with this simulator's radius; a grid needs no edges."""
-        if self.config.grid_stepper is not None:
+        if self.config.time_stepper is None:
             return unconnected
         graph = self.config.graph
         return connect_within(graph.radius, configuration=graph.configuration, kind=graph.kind)
@@ -187,8 +192,9 @@ class Simulator(nn.Module):
             frame_dt=self.config.frame_dt,
             history=self.config.features.history,
             weight=represented_particles(position, samples),
+            body=Body(position=position, particle_type=particle_type),
         )
-        if isinstance(self.dynamics, GridStepper):
+        if isinstance(self.dynamics, GridStepper | BodyStepper):
             return self.dynamics.start(state, velocity[samples])
         return state
 
@@ -327,8 +333,10 @@ class Simulator(nn.Module):
             )
 
 
-def _stepper(config: SimulatorConfig) -> Dynamics | GridStepper:
+def _stepper(config: SimulatorConfig) -> Dynamics | GridStepper | BodyStepper:
     """What moves the samples, untrained."""
+    if config.body_stepper is not None:
+        return BodyStepper(config.body_stepper, dimension=config.dimension)
     if config.grid_stepper is not None:
         return GridStepper(config.grid_stepper, dimension=config.dimension)
     return Dynamics(

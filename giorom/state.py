@@ -15,6 +15,7 @@ Positions are metres, times are seconds. Records are frozen: a stage returns a n
 """
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import torch
@@ -32,6 +33,22 @@ PLASTICINE, WATER, SAND, GOOP, ELASTIC = 4, 5, 6, 7, 8
 
 PARTICLE_TYPE_COUNT = 9
 """Size of the type embedding (GNS convention)."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Body:
+    """All particles of a body before it deforms; two bodies are equal if they are the same one."""
+
+    position: Float[Tensor, "p d"]
+    """Undeformed positions [m]."""
+
+    particle_type: Int[Tensor, " p"]
+    """GNS particle types; ``KINEMATIC`` marks what is held."""
+
+    @property
+    def kinematic(self) -> Tensor:
+        """Boolean mask of the prescribed particles, shape (p)."""
+        return self.particle_type == KINEMATIC
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,6 +90,11 @@ class Trajectory:
     def kinematic(self) -> Tensor:
         """Boolean mask of the prescribed particles, shape (p)."""
         return self.particle_type == KINEMATIC
+
+    @cached_property
+    def body(self) -> Body:
+        """The body at the first frame, which is undeformed."""
+        return Body(position=self.position[0].clone(), particle_type=self.particle_type)
 
     def subset(self, index: Int[Tensor, " q"]) -> "Trajectory":
         """The same motion of the particles ``index`` alone."""
@@ -118,8 +140,12 @@ class SparseState:
     weight: Float[Tensor, " q"] | None = None
     """Full-order particles each sample stands for; ``None``: unknown, all alike."""
 
-    memory: Float[Tensor, "q m"] | None = None
-    """What a time-stepper keeps of the past beside positions; ``None`` at the start."""
+    bodies: tuple[Body, ...] | None = None
+    """The full-order body of each scene; ``None``: unknown."""
+
+    memory: Float[Tensor, "q m"] | tuple[Tensor, ...] | None = None
+    """What a time-stepper keeps of the past beside positions, a row for each sample or a table
+    for each scene; ``None`` at the start."""
 
     @property
     def position(self) -> Tensor:
@@ -137,10 +163,15 @@ class SparseState:
         return self.particle_type == KINEMATIC
 
     def to(self, device: torch.device | str) -> "SparseState":
-        """The same record on ``device``."""
+        """The same record on ``device``; bodies stay where they are, and known by identity."""
+
+        def moved(value: Any) -> Any:
+            if isinstance(value, tuple):
+                return tuple(map(moved, value))
+            return None if value is None else value.to(device)
+
         tensors = ("history", "reference", "particle_type", "batch", "bounds", "weight", "memory")
-        values = {name: getattr(self, name) for name in tensors}
-        return replace(self, **{k: v.to(device) for k, v in values.items() if v is not None})
+        return replace(self, **{name: moved(getattr(self, name)) for name in tensors})
 
 
 def concatenate_states(states: list[SparseState]) -> SparseState:
@@ -169,11 +200,16 @@ def concatenate_states(states: list[SparseState]) -> SparseState:
         ),
         batch_size=offsets[-1],
         weight=_joined([state.weight for state in states]),
+        bodies=_joined([state.bodies for state in states]),
         memory=_joined([state.memory for state in states]),
     )
 
 
-def _joined(parts: list[Tensor | None]) -> Tensor | None:
-    """Rows below each other, or none where a scene has none."""
+def _joined(parts: list[Any]) -> Any:
+    """Rows below each other, or scenes behind each other, or none where a part has none."""
     known = [part for part in parts if part is not None]
-    return torch.cat(known) if len(known) == len(parts) else None
+    if len(known) < len(parts):
+        return None
+    if isinstance(known[0], tuple):
+        return tuple(entry for part in known for entry in part)
+    return torch.cat(known)

@@ -39,7 +39,7 @@ def test_recipe_has_the_numbers_of_the_paper(preset):
     )
     training = experiment.training
     assert experiment.graph == GraphConfig(radius=radius, configuration="current")
-    assert experiment.grid_stepper is None
+    assert experiment.uses_network
     assert experiment.features.history == 6
     assert (network.latent_radius, training.noise_std) == (latent_radius, noise)
     assert (training.batch_size, training.position_weight) == (batch, 1e5)

@@ -95,6 +95,7 @@ def widened(simulator: Simulator, factor: float) -> Simulator:
     grid = config.grid_stepper
     if grid is not None:
         grid = replace(grid, spacing=factor * grid.spacing)
+    # The grid of a body has nothing to do with the number of samples.
     changed = Simulator(replace(config, graph=graph, grid_stepper=grid))
     changed.load_state_dict(simulator.state_dict())
     return changed.eval().requires_grad_(False)

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from giorom.graph import Edges, concatenate_edges, connect_points
 from giorom.sampling import SamplingConfig, represented_particles, sample
-from giorom.state import SparseState, Trajectory, concatenate_states
+from giorom.state import Body, SparseState, Trajectory, concatenate_states
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,6 +32,9 @@ class SampledTrajectory:
 
     weight: Float[Tensor, " q"] | None = None
     """Full-order particles each sample stands for; ``None``: unknown."""
+
+    body: Body | None = None
+    """All particles of the undeformed body; ``None``: unknown."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,7 +93,13 @@ def sample_trajectories(
                 edges = connect_points(reference, batch, radius=reference_radius, kind=kind)
             motion = replace(motion, position=with_straight_past(motion.position, past))
             result.append(
-                SampledTrajectory(motion=motion, reference=reference, edges=edges, weight=weight)
+                SampledTrajectory(
+                    motion=motion,
+                    reference=reference,
+                    edges=edges,
+                    weight=weight,
+                    body=trajectory.body,
+                )
             )
     return result
 
@@ -157,7 +166,8 @@ def turn(batch: WindowBatch, *, generator: torch.Generator) -> WindowBatch:
     """Turn every scene by a random angle about the vertical and mirror half of them.
 
     The axis passes through the middle of the domain. This is a symmetry of an isotropic body
-    wherever the side walls are out of reach; use it only there.
+    wherever the side walls are out of reach; use it only there. The full-order bodies are dropped,
+    as nothing that needs them gains from turning.
 
     Args:
         batch: Windows in 2-D (mirrored only) or 3-D.
@@ -176,7 +186,10 @@ def turn(batch: WindowBatch, *, generator: torch.Generator) -> WindowBatch:
         return torch.einsum("q...d,qed->q...e", points - center, matrix) + center
 
     state = replace(
-        state, history=turned(state.history), reference=turned(state.reference[:, None])[:, 0]
+        state,
+        history=turned(state.history),
+        reference=turned(state.reference[:, None])[:, 0],
+        bodies=None,
     )
     return replace(batch, state=state, target=turned(batch.target))
 
@@ -244,6 +257,7 @@ def window_at(sampled: SampledTrajectory, start: int, *, history: int, future: i
         bounds=motion.bounds,
         frame_dt=motion.frame_dt,
         weight=sampled.weight,
+        bodies=None if sampled.body is None else (sampled.body,),
     )
     return WindowBatch(state=state, target=positions[:, history:], edges=sampled.edges)
 

@@ -1,6 +1,7 @@
 """Roll a trained model out and keep what it did, even where it diverged."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -65,11 +66,16 @@ def select_scenes(state: SparseState, scenes: list[int]) -> SparseState:
     """
     kept = torch.tensor(scenes, dtype=torch.long, device=state.batch.device)
     member = torch.isin(state.batch, kept)
-    rows = ("history", "reference", "particle_type", "weight", "memory")
-    values = {name: getattr(state, name) for name in rows}
+
+    def selected(value: Any) -> Any:
+        if isinstance(value, tuple):
+            return tuple(value[scene] for scene in scenes)
+        return None if value is None else value[member]
+
+    parts = ("history", "reference", "particle_type", "weight", "bodies", "memory")
     return replace(
         state,
         batch=torch.searchsorted(kept, state.batch[member]),
         batch_size=len(scenes),
-        **{name: value[member] for name, value in values.items() if value is not None},
+        **{name: selected(getattr(state, name)) for name in parts},
     )
