@@ -2,15 +2,16 @@ r"""The body time-stepper: a soft body on a coarse grid that is fixed to its und
 
 Stages 4 and 5 of the pipeline in one, the alternative for what never flows: clamped and free
 elastic bodies. The displacement of the body is a spline on the nodes of the grid
-(``layers/body_grid.py``), and the nodes move as the stress of a learned law
-(``layers/learned_law.py``) says, integrated over the whole undeformed body. Nothing is handed
-back and forth between samples and grid, so nothing is smeared; the samples only say how the
-motion starts and read it. With the first Piola stress :math:`P(F)` and the velocity gradient
-:math:`\dot F` in the undeformed body,
+(``layers/body_grid.py``), and the nodes move as the stress says, integrated over the whole
+undeformed body. Nothing is handed back and forth between samples and grid, so nothing is smeared;
+the samples only say how the motion starts and read it. With the deformation gradient :math:`F`,
 
 .. math::
-    M \dot v = -\int \bigl(P(F) + \eta\, F (F^T \dot F + \dot F^T F)\bigr) \nabla N \, dV + M g ,
+    M \dot v = -\int P \nabla N \, dV + M g , \qquad
+    P = \tau F^{-T} + \eta\, F (F^T \dot F + \dot F^T F) , \qquad
+    \tau = G\, \mathrm{dev}\, \bar b + K J (J - 1)\, I ,
 
+the elastic part of the law of ``layers/learned_law.py``,
 stepped by the leapfrog rule a few times per frame. The shortest waves, which the frames do not
 resolve, are given more inertia, so that they stay stable; the long ones keep their frequency.
 
@@ -25,8 +26,11 @@ from torch import Tensor, nn
 
 from giorom.graph import Edges
 from giorom.layers.body_grid import BodyGrid, BodyGridConfig, Reading, body_grid
-from giorom.layers.learned_law import LearnedLaw, Strain, determinant
-from giorom.state import SparseState
+from giorom.layers.learned_law import determinant, deviator
+from giorom.state import PARTICLE_TYPE_COUNT, SparseState
+
+START_BULK, START_SHEAR = 100.0, 50.0
+"""Moduli over density that training starts from, as in ``learned_law.py`` [m^2/s^2]."""
 
 START_VISCOSITY = 0.01
 """Viscosity over density that training starts from [m^2/s]."""
@@ -131,8 +135,10 @@ class BodyStepper(nn.Module):
     def __init__(self, config: BodyStepperConfig, *, dimension: int) -> None:
         super().__init__()
         self.config, self.dimension = config, dimension
-        self.law = LearnedLaw(dimension)
         self.register_buffer("gravity", torch.zeros(dimension))
+        every = torch.ones(PARTICLE_TYPE_COUNT)
+        self.log_bulk = nn.Parameter((START_BULK * every).log())
+        self.log_shear = nn.Parameter((START_SHEAR * every).log())
         self.log_viscosity = nn.Parameter(torch.tensor(START_VISCOSITY).log())
 
     def step(
@@ -248,13 +254,11 @@ class BodyStepper(nn.Module):
         """First Piola stress over density [m^2/s^2], elastic and viscous."""
         cofactor, volume = cofactors(gradient)
         volume = volume.clamp_min(SMALLEST_VOLUME)
-        cauchy_green = gradient @ gradient.mT
-        strain = Strain(
-            isochoric=cauchy_green * volume.pow(-2.0 / self.dimension)[:, None, None],
-            volume_ratio=volume,
-            gained=torch.zeros_like(volume),
-        )
-        elastic = self.law.stress(strain, particle_type) @ cofactor / volume[:, None, None]
+        bulk, shear = self.log_bulk.exp()[particle_type], self.log_shear.exp()[particle_type]
+        # tau F^-T, and F^-T is the cofactor matrix over the volume ratio.
+        change = (shear * volume.pow(-2.0 / self.dimension - 1.0))[:, None, None]
+        pressed = (bulk * (volume - 1.0))[:, None, None]
+        elastic = change * deviator(gradient @ gradient.mT) @ cofactor + pressed * cofactor
         turned = gradient.mT @ rate
         return elastic + self.log_viscosity.exp() * gradient @ (turned + turned.mT)
 
@@ -262,7 +266,7 @@ class BodyStepper(nn.Module):
         """What multiplies the unit stiffness in the mass [m^2]; not differentiated."""
         dt = frame_dt / self.config.substeps
         kinds = grid.particle_type.unique()
-        bulk, shear = (self.law.constant(n, kinds).detach() for n in ("bulk", "shear"))
+        bulk, shear = (log.detach().exp()[kinds] for log in (self.log_bulk, self.log_shear))
         stiffness = STIFFENING * float((bulk + 4.0 / 3.0 * shear).max())
         viscosity = float(self.log_viscosity.detach().exp())
         return 0.5 * stiffness * (dt / LARGEST_PHASE) ** 2 + viscosity * dt

@@ -188,3 +188,16 @@ def test_an_empty_mapping_clears_a_group():
 def test_a_grid_stepper_is_trained_on_motions_alone():
     with pytest.raises(ValueError, match="must be 'motion'"):
         load_experiment("water2d-small", {"training": {"objective": "acceleration"}})
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"grid_stepper": {"spacing": 0.1}}, "one time-stepper"),
+        ({"training": {"objective": "acceleration"}}, "must be 'motion'"),
+        ({"training": {"turn": True}}, r"training\.turn is true"),
+    ],
+)
+def test_a_body_stepper_stands_alone_and_learns_from_motions(changes, message):
+    with pytest.raises(ValueError, match=message):
+        load_experiment("elastic3d-small", changes)

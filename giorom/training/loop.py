@@ -24,7 +24,7 @@ from giorom.data.windows import (
     step_generator,
     turn,
 )
-from giorom.pipeline import Connect, Dynamics
+from giorom.pipeline import Connect
 from giorom.records import one_line
 from giorom.training.checkpoint import (
     CheckpointError,
@@ -100,7 +100,7 @@ class StepperTraining:
 
     def __init__(
         self,
-        dynamics: Dynamics,
+        dynamics: nn.Module,
         config: TrainingConfig,
         *,
         windows: Windows,
