@@ -94,7 +94,7 @@ class Ties:
     """Where its samples were then, (p k d) [m]."""
 
     near: Tensor
-    """Which of them tell that the neighbourhood has spread, (p k)."""
+    """Which of the first few tell that the neighbourhood has spread, (p c)."""
 
     radius: Tensor
     """Distance to the farthest of those then, (p) [m]."""
@@ -154,7 +154,7 @@ class TransportDecoder(FieldDecoder):
         found = ties.base + torch.einsum("pk,pkd->pd", ties.weights, place - ties.anchor)
         if self.limits is not None:
             found = torch.minimum(torch.maximum(found, self.limits[0]), self.limits[1])
-        radius = _farthest(place - found[:, None], ties.near)
+        radius = _farthest(place, found, ties.near)
         rows = (radius > self.config.spread * ties.radius).nonzero()[:, 0]
         if len(rows):
             labels = rows.new_zeros(len(position)), rows.new_zeros(len(rows))
@@ -177,8 +177,7 @@ class TransportDecoder(FieldDecoder):
         index, same = nearest_samples(sample, point, count=self.width, labels=labels)
         same[:, count:] = False
         weights = polynomial_weights(sample, point, index, same=same, degree=degree)
-        near = same.clone()
-        near[:, self.count :] = False
+        near = same[:, : self.count]
         anchor = sample[index]
         return Ties(
             index=index,
@@ -186,10 +185,13 @@ class TransportDecoder(FieldDecoder):
             base=point,
             anchor=anchor,
             near=near,
-            radius=_farthest(anchor - point[:, None], near),
+            radius=_farthest(anchor, point, near),
         )
 
 
-def _farthest(offset: Float[Tensor, "p k d"], near: Bool[Tensor, "p k"]) -> Float[Tensor, " p"]:
-    """Distance to the farthest of some neighbours [m]."""
+def _farthest(
+    sample: Float[Tensor, "p k d"], point: Float[Tensor, "p d"], near: Bool[Tensor, "p c"]
+) -> Float[Tensor, " p"]:
+    """Distance of each point to the farthest of the first few samples around it [m]."""
+    offset = sample[:, : near.shape[1]] - point[:, None]
     return offset.norm(dim=2).masked_fill(~near, 0.0).amax(dim=1)
