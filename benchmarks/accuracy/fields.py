@@ -233,10 +233,12 @@ def _machine(machine: dict[str, Any]) -> str:
 
 def _sizes(system: dict[str, Any]) -> str:
     points, samples, frames = zip(*system["sizes"], strict=True)
+    missing = [f"`{kind}`" for kind in get_args(FieldKind) if kind not in system["kinds"]]
+    rest = f" Not measured: {', '.join(missing)}." if missing else ""
     return (
         f"{len(points)} held-out trajectories of {min(frames)} frames, {min(points)} to "
         f"{max(points)} particles, {min(samples)} to {max(samples)} samples; {system['bodies']} "
-        f"training motions."
+        f"training motions.{rest}"
     )
 
 
