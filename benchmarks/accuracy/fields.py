@@ -37,6 +37,9 @@ FRAMES = (20, 50, 100, 200, 400)
 SECONDS_OF_NOTHING = 0.05
 """What takes less counts as nothing to fit [s]."""
 
+FEW_STEPS = 100
+"""A training of fewer steps says nothing about a kind."""
+
 MODES = 32
 """Modes of both linear bases, and length of the autoencoder's latent vector."""
 
@@ -235,6 +238,13 @@ def _sizes(system: dict[str, Any]) -> str:
     points, samples, frames = zip(*system["sizes"], strict=True)
     missing = [f"`{kind}`" for kind in get_args(FieldKind) if kind not in system["kinds"]]
     rest = f" Not measured: {', '.join(missing)}." if missing else ""
+    hardly = [
+        f"`{kind}`"
+        for kind, value in system["kinds"].items()
+        if 0 < value["training"]["steps"] < FEW_STEPS
+    ]
+    if hardly:
+        rest += f" Too few steps for a judgement of {', '.join(hardly)}: the machine was busy."
     return (
         f"{len(points)} held-out trajectories of {min(frames)} frames, {min(points)} to "
         f"{max(points)} particles, {min(samples)} to {max(samples)} samples; {system['bodies']} "
