@@ -33,9 +33,6 @@ BEYOND = 0.5
 GRADIENT_STEPS = 4
 """Passes that find the velocity gradient at the start."""
 
-START_BLEND = 0.8
-"""Share of its own velocity that a sample keeps at first: coarse grids damp much."""
-
 LIGHTEST = 1e-9
 """Mass below which a node is empty, in particles."""
 
@@ -53,6 +50,10 @@ class GridStepperConfig:
     wall_contact: Literal["slip", "stick"] = "slip"
     """Whether samples slide along walls."""
 
+    own_share: float = 0.8
+    """Share of its own velocity that a sample keeps in a transfer, where training starts; much
+    where there are few samples per cell, as coarse grids damp, little where there are many."""
+
     def __post_init__(self) -> None:
         """Reject what no grid can be built from."""
         if not self.spacing > 0.0:
@@ -62,6 +63,10 @@ class GridStepperConfig:
             )
         if self.substeps < 1:
             raise ValueError(f"GridStepperConfig.substeps must be >= 1, got {self.substeps!r}.")
+        if not 0.0 < self.own_share < 1.0:
+            raise ValueError(
+                f"GridStepperConfig.own_share must lie between 0 and 1, got {self.own_share!r}."
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,7 +92,7 @@ class GridStepper(nn.Module):
         self.config, self.dimension = config, dimension
         self.law = LearnedLaw(dimension)
         self.register_buffer("gravity", torch.zeros(dimension))
-        self.blend_logit = nn.Parameter(torch.tensor(START_BLEND).logit())
+        self.blend_logit = nn.Parameter(torch.tensor(config.own_share).logit())
 
     @property
     def own_share(self) -> Float[Tensor, ""]:
