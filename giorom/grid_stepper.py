@@ -27,7 +27,7 @@ from giorom.state import SparseState
 HELD_MASS = 1e3
 """How much heavier a prescribed sample is made: the others cannot move it."""
 
-BEYOND = 0.5
+BEYOND = 0.25
 """How far a sample may be pressed beyond a wall [grid cells]."""
 
 GRADIENT_STEPS = 4

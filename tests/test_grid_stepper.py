@@ -94,12 +94,12 @@ def test_a_turning_solid_keeps_its_shape_and_its_turn(dimension):
 @DIMENSIONS
 @pytest.mark.parametrize("contact", ["slip", "stick"])
 def test_no_sample_leaves_the_walls(dimension, contact):
-    """Thrown into a corner at 5 m/s: never further out than half a cell."""
+    """Thrown into a corner at 5 m/s: never further out than a quarter of a cell."""
     model = stepper(dimension, wall_contact=contact)
     state, motion = block(dimension, corner=0.15, velocity=1.0)
     for later in moved(model, model.start(state, motion - 5.0), 60):
-        assert float(later.position.min()) >= 0.1 - 0.5 * 0.05 - 1e-6
-        assert float(later.position.max()) <= 0.9 + 0.5 * 0.05 + 1e-6
+        assert float(later.position.min()) >= 0.1 - 0.25 * 0.05 - 1e-6
+        assert float(later.position.max()) <= 0.9 + 0.25 * 0.05 + 1e-6
 
 
 def test_what_sticks_does_not_slide():
