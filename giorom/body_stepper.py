@@ -11,11 +11,13 @@ the samples only say how the motion starts and read it. With the deformation gra
     P = \tau F^{-T} + \eta\, F (F^T \dot F + \dot F^T F) , \qquad
     \tau = G\, \mathrm{dev}\, \bar b + K J (J - 1)\, I ,
 
-the elastic part of the law of ``layers/learned_law.py``,
-stepped by the leapfrog rule a few times per frame. The shortest waves, which the frames do not
-resolve, are given more inertia, so that they stay stable; the long ones keep their frequency.
+the elastic part of the law of ``layers/learned_law.py`` but for the bulk, which stiffens like that
+law with an exponent near three, stepped by the leapfrog rule a few times per frame. The shortest
+waves, which the frames do not resolve, are given more inertia, so that they stay stable; the long
+ones keep their frequency.
 
-What is learned: the elastic constants and the viscosity, each divided by the density.
+What is learned: the elastic constants and the viscosity, each divided by the density. Gravity is
+measured on the first frames of the training data, where these show it.
 """
 
 from dataclasses import dataclass, replace
@@ -30,7 +32,7 @@ from giorom.layers.learned_law import determinant, deviator
 from giorom.state import PARTICLE_TYPE_COUNT, SparseState
 
 START_BULK, START_SHEAR = 100.0, 50.0
-"""Moduli over density that training starts from, as in ``learned_law.py`` [m^2/s^2]."""
+"""Moduli over density that training starts from [m^2/s^2]."""
 
 START_VISCOSITY = 0.01
 """Viscosity over density that training starts from [m^2/s]."""
@@ -263,7 +265,11 @@ class BodyStepper(nn.Module):
         return elastic + self.log_viscosity.exp() * gradient @ (turned + turned.mT)
 
     def _inertia(self, grid: BodyGrid, frame_dt: float) -> float:
-        """What multiplies the unit stiffness in the mass [m^2]; not differentiated."""
+        r"""The factor of ``BodyGrid.inverse_mass`` [m^2]; not differentiated.
+
+        :math:`\beta = S \Delta t^2 / (2 \phi^2) + \eta \Delta t` with the stiffness S of waves over
+        the density: the phase of a wave in a substep is then at most :math:`\phi`.
+        """
         dt = frame_dt / self.config.substeps
         kinds = grid.particle_type.unique()
         bulk, shear = (log.detach().exp()[kinds] for log in (self.log_bulk, self.log_shear))

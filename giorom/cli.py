@@ -14,7 +14,7 @@ COMMANDS = {
     "simulate": "make training data with the material point method",
     "import": "make a data set of somebody else's particle motions",
     "inspect": "report on a data set, with pictures",
-    "train": "train a time-stepper and a neural field",
+    "train": "train a time-stepper and a field",
     "rollout": "simulate a body with a trained model, to a file",
     "export": "a motion or a data set for another program: HDF5, GNS, VTKHDF, USD, PLY, film",
     "evaluate": "score a trained model on held-out trajectories",

@@ -37,7 +37,7 @@ DERIVED = ("dimension", "node_width", "edge_width", "gate_width")
 
 @dataclass(frozen=True, kw_only=True)
 class StepperChoice:
-    """Which time-stepper is trained."""
+    """Which network is trained."""
 
     preset: Literal["default", "paper"] = "default"
     """Published model, or the recommended one."""
@@ -100,7 +100,7 @@ class Experiment:
     """How they are connected."""
 
     features: FeatureConfig = default(default_factory=FeatureConfig)
-    """What the time-stepper sees."""
+    """What the network sees."""
 
     time_stepper: StepperChoice = default(default_factory=StepperChoice)
     """The network that predicts accelerations."""

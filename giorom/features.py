@@ -1,4 +1,4 @@
-"""What the time-stepper sees: dimensionless features of the samples and of their edges.
+"""What the network sees: dimensionless features of the samples and of their edges.
 
 Stage 3b of the pipeline. Node features are velocities (newest last) and clipped distances to the
 walls; edge features are relative positions. For solids two more groups can be switched on: the

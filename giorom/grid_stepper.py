@@ -7,8 +7,8 @@ their momentum goes to a grid about as coarse as they are, the stress of a learn
 take the motion back. Mass and momentum are kept by construction, walls cannot be passed, and as
 the samples weigh what they stand for, their number can change without training again.
 
-What is learned: the constants of the law per particle type, gravity, and how much of the
-sample's own velocity survives a transfer.
+What is learned: the constants of the law per particle type, and how much of the sample's own
+velocity survives a transfer. Gravity is measured on the first frames of the training data.
 """
 
 from dataclasses import dataclass, replace
@@ -39,7 +39,7 @@ LIGHTEST = 1e-9
 
 @dataclass(frozen=True, kw_only=True)
 class GridStepperConfig:
-    """Size of the grid and start of what is learned."""
+    """Size of the grid, steps per frame and contact with walls."""
 
     spacing: float
     """Distance between grid nodes [m]; 1 to 1.5 times that between samples."""
@@ -135,21 +135,18 @@ class GridStepper(nn.Module):
         self, motion: _Motion, state: SparseState, grid: SplineGrid, pushed: Float[Tensor, "q d"]
     ) -> _Motion:
         """All substeps of a frame by the kernels of ``grid_kernels.py``; no gradients."""
-        from giorom.layers.grid_kernels import CONSTANTS, advance_samples
+        from giorom.layers.grid_kernels import advance_samples
 
-        held, volume = state.kinematic, self._weight(state).contiguous()
+        held, volume = state.kinematic, _weight(state).contiguous()
         moved = _Motion(
-            position=motion.position.clone(memory_format=torch.contiguous_format),
+            position=_copied(motion.position),
             velocity=torch.where(held[:, None], pushed, motion.velocity),
-            gradient=motion.gradient.clone(memory_format=torch.contiguous_format),
+            gradient=_copied(motion.gradient),
             strain=Strain(
-                isochoric=motion.strain.isochoric.clone(memory_format=torch.contiguous_format),
-                volume_ratio=motion.strain.volume_ratio.clone(
-                    memory_format=torch.contiguous_format
-                ),
+                isochoric=_copied(motion.strain.isochoric),
+                volume_ratio=_copied(motion.strain.volume_ratio),
             ),
         )
-        table = torch.stack([getattr(self.law, f"log_{name}").exp() for name in CONSTANTS], dim=1)
         advance_samples(
             grid,
             position=moved.position,
@@ -161,7 +158,7 @@ class GridStepper(nn.Module):
             held=held,
             volume=volume,
             mass=torch.where(held, HELD_MASS * volume, volume),
-            table=table.detach().contiguous(),
+            table=self.law.table().detach().contiguous(),
             gravity=self.gravity,
             bounds=state.bounds,
             own_share=float(self.own_share),
@@ -219,7 +216,7 @@ class GridStepper(nn.Module):
         dt: float,
     ) -> tuple[Float[Tensor, "n d"], Float[Tensor, "n d"]]:
         """Velocities of the nodes before and after the forces of a substep."""
-        volume = self._weight(state)
+        volume = _weight(state)
         mass = torch.where(state.kinematic, HELD_MASS * volume, volume)
         share = stencil.weight * mass[:, None]
         momentum = velocity[:, None] + stencil.offset @ motion.gradient.mT
@@ -312,11 +309,17 @@ class GridStepper(nn.Module):
             ),
         )
 
-    def _weight(self, state: SparseState) -> Float[Tensor, " q"]:
-        """Particles each sample stands for, without units: only ratios matter."""
-        if state.weight is None:
-            return torch.ones_like(state.position[:, 0])
-        return state.weight
+
+def _weight(state: SparseState) -> Float[Tensor, " q"]:
+    """Particles each sample stands for, without units: only ratios matter."""
+    if state.weight is None:
+        return torch.ones_like(state.position[:, 0])
+    return state.weight
+
+
+def _copied(value: Tensor) -> Tensor:
+    """A contiguous copy, which kernels may write into."""
+    return value.clone(memory_format=torch.contiguous_format)
 
 
 def _wall_nodes(

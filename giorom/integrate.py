@@ -1,8 +1,9 @@
 """Advance particle positions from predicted accelerations.
 
-Stage 5 of the pipeline: the time-stepper says how particles accelerate, this module moves
-them. ``semi_implicit_euler`` and ``finite_differences`` are inverses of each other, so that a
-training target computed here means the same as a rollout step taken here.
+Stage 5 of the pipeline: the network says how particles accelerate, this module moves them; the
+grid and the body stepper move their samples themselves. ``semi_implicit_euler`` and
+``finite_differences`` are inverses of each other, so that a training target computed here means the
+same as a rollout step taken here.
 
 Positions are metres, time is seconds. Nothing in this module is normalised.
 """

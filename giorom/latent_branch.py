@@ -1,4 +1,4 @@
-"""The part of the time-stepper that works on the latent grid: to it, on it and back.
+"""The part of the network that works on the latent grid: to it, on it and back.
 
 Stage 4 of the pipeline. A kernel integral takes the particles to the grid, a processor works on
 the nodes, and a second kernel integral brings the result back. Only this part reads positions,

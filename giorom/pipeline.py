@@ -113,7 +113,7 @@ def rollout(
     step: Step,
     prescribed: Float[Tensor, "t q d"] | None = None,
 ) -> Iterator[SparseState]:
-    """Simulate the samples: graph, network, integration, frame after frame.
+    """Simulate the samples: graph and step, frame after frame.
 
     No gradients are recorded.
 

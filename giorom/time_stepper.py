@@ -1,11 +1,12 @@
-"""The learned time-stepper: velocities of the samples in, their accelerations out.
+"""The network of the paper: velocities of the samples in, their accelerations out.
 
-Stage 4 of the pipeline, section 4 of the paper: an interaction operator takes the particles to
-a latent grid (message passing, then a kernel integral), the neural operator transformer works
-on the grid, and a second interaction operator brings the result back to the particles (kernel
-integral, then message passing with the edge features of the first). The acceleration returned
-is normalised; ``normalization.py`` gives it its units. Only the position is in metres, and the
-latent grid alone reads it.
+Stage 4 of the pipeline, section 4 of the paper; ``grid_stepper.py`` and ``body_stepper.py`` are the
+other two time-steppers. An interaction operator takes the particles to a latent grid (message
+passing, then a kernel integral), the neural operator transformer works on the grid, and a second
+interaction operator brings the result back to the particles (kernel integral, then message passing
+with the edge features of the first). The acceleration returned is normalised;
+``normalization.py`` gives it its units. Only the position is in metres, and the latent grid alone
+reads it.
 """
 
 import torch

@@ -1,4 +1,4 @@
-"""Size and variant of the time-stepper: what the paper and its ablations switch on and off."""
+"""Size and variant of the network: what the paper and its ablations switch on and off."""
 
 from dataclasses import dataclass, field
 from typing import Any, Literal

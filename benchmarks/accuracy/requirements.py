@@ -22,9 +22,17 @@ DENSER = 1.5
 """Largest rollout error at four times the samples, over that at the trained number."""
 
 FEWEST_TRAJECTORIES = 10
+"""Fewest held-out trajectories behind a mean."""
+
 FEWEST_SCENES = 50
+"""Fewest scenes of long rollouts."""
+
 FEWEST_HORIZONS = 5.0
+"""Shortest of long rollouts, in training trajectories."""
+
 MOST_BYTES = 5_000_000
+"""Largest size of the weights of one model."""
+
 EQUAL_TIME = 0.1
 """Largest relative difference of two training times that count as equal."""
 
@@ -77,20 +85,6 @@ class Verdict:
     def asked(self) -> str:
         """The bound in words."""
         return f"{'<=' if self.at_most else '>='} {self.bound:g}"
-
-    def as_json(self) -> dict[str, Any]:
-        """All of it as JSON values."""
-        value = None if self.value is None or not math.isfinite(self.value) else self.value
-        return {
-            "requirement": self.requirement,
-            "value": value,
-            "bound": self.bound,
-            "at_most": self.at_most,
-            "unsound": self.unsound,
-            "remark": self.remark,
-            "met": self.met,
-            "outcome": self.word,
-        }
 
 
 def is_solid(scene: dict[str, Any]) -> bool:

@@ -1,4 +1,4 @@
-"""``giorom train``: train a neural field and a time-stepper."""
+"""``giorom train``: train a field and a time-stepper."""
 
 import argparse
 from pathlib import Path

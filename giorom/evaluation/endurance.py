@@ -5,7 +5,7 @@ by more than the tolerance. It is then taken out of the batch; the others go on,
 fails costs the others nothing.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
@@ -29,7 +29,7 @@ class Fate:
     reason: str | None = None
     """``not finite`` or ``beyond a wall``."""
 
-    excursion: float = field(default=0.0)
+    excursion: float = 0.0
     """Farthest that a sample has been beyond a wall, the frame of its loss included [m]."""
 
 

@@ -1,1 +1,1 @@
-"""Building blocks of the time-stepper, in the order the data meet them."""
+"""Building blocks of the time-steppers, in the order the data meet them."""

@@ -15,6 +15,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from giorom.layers.spline_grid import spline_weights
 from giorom.state import Body
 
 ROUNDING = 0.25
@@ -53,7 +54,10 @@ class Reading:
     """How some samples read the nodes, and how nodes are found from them."""
 
     node: Int[Tensor, "q k"]
+    """Nodes around each sample."""
+
     weight: Float[Tensor, "q k"]
+    """Their weights; nodes outside the body have none."""
 
     moving: Int[Tensor, " f"]
     """Samples that are not held."""
@@ -111,8 +115,9 @@ class BodyGrid:
     def inverse_mass(self, inertia: float) -> Float[Tensor, "n n"]:
         r"""Inverse of the mass of the free nodes, with inertia added for the shortest waves.
 
-        :math:`(M + \beta^2 K M^{-1} K)^{-1}` with the stiffness :math:`K` of a unit modulus: a wave
-        of squared frequency w becomes one of :math:`w / (1 + \beta^2 w^2) \le 1 / (2 \beta)`.
+        :math:`(M + \beta^2 K M^{-1} K)^{-1}` with the stiffness :math:`K` of a unit modulus over
+        density: a wave of squared frequency w becomes one of
+        :math:`w / (1 + \beta^2 w^2) \le 1 / (2 \beta)`.
 
         Args:
             inertia: The factor beta [m^2].
@@ -174,7 +179,7 @@ class BodyGrid:
         place = (points - self._origin) / self.spacing
         base = np.clip(np.floor(place - 0.5), 0, np.array(self._shape) - 3)
         f = place - base
-        each = np.stack([0.5 * (1.5 - f) ** 2, 0.75 - (f - 1.0) ** 2, 0.5 * (f - 0.5) ** 2], -1)
+        each = np.stack(spline_weights(f), axis=-1)
         corner = np.stack(np.meshgrid(*[np.arange(3)] * d, indexing="ij"), -1).reshape(-1, d)
         weight = np.prod([each[:, axis, corner[:, axis]] for axis in range(d)], axis=0)
         node = base[:, None].astype(int) + corner

@@ -7,8 +7,9 @@ One law for all materials, an isotropic elastic body that yields:
     |G\, \mathrm{dev}\, \bar b| \le Y + M p,
 
 with the volume ratio :math:`J`, the isochoric left Cauchy-Green tensor :math:`\bar b` of the
-elastic part (determinant one) and the pressure :math:`p`. A liquid yields at once, plasticine at Y,
-sand at a share M of the pressure, goop slowly; an elastic body never. Grains resist no tension.
+elastic part (determinant one) and the pressure :math:`p`. A liquid yields at once (Y = M = 0),
+plasticine at Y, sand at a share M of the pressure, goop at Y too, but slowly: what exceeds Y
+decays exponentially. Elastic and rigid bodies never yield. Grains resist no tension.
 The exponent n says how the bulk stiffens: near 0 it is Hencky's logarithm, 1 a straight line,
 near 3 the :math:`J (J - 1)` of weakly compressible fluids. Densities are one: every modulus is
 divided by the density [m^2/s^2], which is all that motion shows.
@@ -37,8 +38,12 @@ START = {
     "friction": 0.8,
     "relaxation": 1e-3,
 }
-"""Constants every law starts from: a wave speed of 14 m/s, a strength that a fall of a
-decimetre exceeds, the friction of dry sand."""
+"""Constants every law starts from: moduli and strength over density [m^2/s^2] that give a wave
+speed of 14 m/s and yield after a fall of a decimetre, the friction of dry sand, and the time in
+which goop flows [s]."""
+
+CONSTANTS = tuple(START)
+"""Columns of the table of constants."""
 
 USERS = {
     "bulk": (RIGID, PLASTICINE, WATER, SAND, GOOP, ELASTIC),
@@ -100,6 +105,10 @@ class LearnedLaw(nn.Module):
     def constant(self, name: str, particle_type: Int[Tensor, " q"]) -> Float[Tensor, " q"]:
         """One constant of every sample."""
         return getattr(self, f"log_{name}").exp()[particle_type]
+
+    def table(self) -> Float[Tensor, "k c"]:
+        """All constants, one row per particle type, columns as ``CONSTANTS``."""
+        return torch.stack([getattr(self, f"log_{name}").exp() for name in CONSTANTS], dim=1)
 
     def stress(self, strain: Strain, particle_type: Int[Tensor, " q"]) -> Float[Tensor, "q d d"]:
         """Kirchhoff stress over density [m^2/s^2]."""

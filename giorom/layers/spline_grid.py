@@ -8,13 +8,26 @@ and back keep mass, momentum and angular momentum.
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TypeVar
 
+import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
 MARGIN = 3
 """Nodes beyond each wall, so that every point near a wall finds its neighbours."""
+
+Array = TypeVar("Array", Tensor, np.ndarray)
+
+
+def spline_weights(place: Array) -> tuple[Array, Array, Array]:
+    """Quadratic B-spline weights of three nodes in a row.
+
+    Args:
+        place: Distance from the first of them, in [0.5, 1.5] node distances.
+    """
+    return 0.5 * (1.5 - place) ** 2, 0.75 - (place - 1.0) ** 2, 0.5 * (place - 0.5) ** 2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,14 +88,15 @@ class SplineGrid:
             position: Points [m]; those beyond the margin touch the outermost nodes, those that
                 are not finite some node, with weights that are not finite.
             batch: Scene of each point.
+
+        Returns:
+            A stencil of 3^d nodes for each point.
         """
         place = (position - self.origin) / self.spacing
         base = torch.floor(place.detach() - 0.5).nan_to_num(0.0).clamp_min(0.0)
         base = torch.minimum(base, self.last_base)
         f = (place - base).clamp(0.5, 1.5)
-        each = torch.stack(
-            [0.5 * (1.5 - f) ** 2, 0.75 - (f - 1.0) ** 2, 0.5 * (f - 0.5) ** 2], dim=-1
-        )
+        each = torch.stack(spline_weights(f), dim=-1)
         weight = each[:, 0]
         for axis in range(1, self.dimension):
             weight = (weight[:, :, None] * each[:, axis, None, :]).flatten(1)
@@ -94,6 +108,15 @@ class SplineGrid:
     def gather(
         self, stencil: Stencil, value: Float[Tensor, "q k c"], *, scenes: int
     ) -> Float[Tensor, "n c"]:
-        """Sum what the points give to their nodes; ``n`` counts the nodes of all scenes."""
+        """Sum what the points give to their nodes.
+
+        Args:
+            stencil: Nodes of the points.
+            value: What each point gives to each of its nodes.
+            scenes: Scenes of the batch.
+
+        Returns:
+            Sums at the nodes of all scenes, one scene behind another.
+        """
         result = value.new_zeros(scenes * self.node_count, value.shape[2])
         return result.index_add(0, stencil.node.flatten(), value.flatten(0, 1))

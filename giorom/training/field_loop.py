@@ -29,7 +29,7 @@ class FieldTrainingConfig:
     """Optimiser steps, unless the minutes end before."""
 
     minutes: float = 2.0
-    """Longest time [min]; at most a fifth of the whole budget is used."""
+    """Longest time [min]; at most a tenth of the whole budget is used."""
 
     frames: int = 16
     """Frames per step."""

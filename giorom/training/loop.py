@@ -1,4 +1,4 @@
-"""The plain loop that trains the time-stepper; ``field_loop.py`` trains the neural field.
+"""The plain loop that trains a time-stepper; ``field_loop.py`` trains the field.
 
 What makes a run reproducible is kept in one place: every random number of a step comes from the
 seed and the number of the step, so that a resumed run draws what an uninterrupted one would.

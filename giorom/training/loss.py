@@ -1,9 +1,9 @@
-"""The training loss: error of the acceleration and of the position it leads to (equation 10).
+"""The training losses: equation 10 for the network, the whole motion for the grid steppers.
 
-Both terms start from the same noisy state, and both targets keep the position offset of that
-state: velocity noise must be undone, position noise must not. (The official code starts the
-position term from the clean state, so that its two terms contradict each other.) Kinematic
-particles do not count.
+Equation 10 adds the error of the acceleration and of the position it leads to. Both terms start
+from the same noisy state, and both targets keep the position offset of that state: velocity noise
+must be undone, position noise must not. (The official code starts the position term from the clean
+state, so that its two terms contradict each other.) Kinematic particles do not count.
 """
 
 from dataclasses import replace
@@ -22,9 +22,14 @@ SOFTENING = 1e-8
 
 
 def motion_loss(step: Step, batch: WindowBatch, *, connect: Connect) -> Float[Tensor, ""]:
-    """Root of the mean squared error of each scene's motion, averaged over scenes [m].
+    r"""Root of the mean squared error of each scene's motion, averaged over scenes [m].
 
-    The root keeps the few scenes that go very wrong from ruling the gradient.
+    .. math::
+        \frac{1}{B} \sum_b \sqrt{\epsilon + \frac{1}{T Q_b} \sum_{k, i} |x_i^k - \hat x_i^k|^2}
+
+    over the B scenes, their T frames and the :math:`Q_b` free samples of scene b, with
+    :math:`\epsilon` the ``SOFTENING``. The root keeps the few scenes that go very wrong
+    from ruling the gradient.
 
     Args:
         step: Stages 4 and 5 under training; gradients flow through every frame.

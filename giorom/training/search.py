@@ -13,6 +13,7 @@ Source:
 import math
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Bool, Int
@@ -35,6 +36,14 @@ MOST_VALUES = 100
 
 STATE = ("mean", "spread", "covariance", "covariance_path", "spread_path", "evaluations")
 """What a checkpoint keeps of the distribution."""
+
+
+@runtime_checkable
+class Selective(Protocol):
+    """A model that knows which of its values matter for a material."""
+
+    def searched(self, particle_type: Int[Tensor, " q"]) -> dict[str, Bool[Tensor, "..."]]:
+        """Which entries of each parameter matter where some particle types occur."""
 
 
 class Distribution:
@@ -107,8 +116,8 @@ class StepperSearch:
     """Search for the values of a stepper; trained by ``train_stepper`` like any other.
 
     Args:
-        dynamics: Model to train, anything with a ``step``; where it has a method ``searched``,
-            that says which entries of its parameters matter for some particle types.
+        dynamics: Model to train, anything with a ``step``; if it is ``Selective``, those of its
+            values that matter are searched, else all.
         config: How.
         windows: Training windows.
         connect: Graph of a state, where windows bring none.
@@ -210,18 +219,26 @@ class StepperSearch:
 def searched_entries(model: nn.Module, windows: Windows) -> dict[str, Bool[Tensor, "..."]]:
     """Which entries of the parameters the training data can say anything about.
 
+    Args:
+        model: Model to train.
+        windows: Training windows.
+
+    Returns:
+        A mask for every parameter with such an entry, by name.
+
     Raises:
         ValueError: If there are too many of them, or none.
     """
     masks = {n: torch.ones_like(p, dtype=torch.bool) for n, p in model.named_parameters()}
-    if hasattr(model, "searched"):
+    if isinstance(model, Selective):
         masks = model.searched(occurring_types(windows))
     masks = {name: mask.cpu() for name, mask in masks.items() if mask.any()}
     count = sum(int(mask.sum()) for mask in masks.values())
     if not 0 < count <= MOST_VALUES:
         raise ValueError(
             f"TrainingConfig.optimizer 'cma' searches 1 to {MOST_VALUES} values, but this model "
-            f"learns {count}. Train it by 'adamax' or 'adamw', or choose a grid_stepper."
+            f"learns {count}. Train it by 'adamax' or 'adamw', or choose a grid_stepper or "
+            f"body_stepper."
         )
     return masks
 

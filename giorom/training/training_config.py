@@ -1,4 +1,4 @@
-"""What a training of the time-stepper may use: its values, its budget, its learning rate."""
+"""What a training of a time-stepper may use: its values, its budget, its learning rate."""
 
 from dataclasses import dataclass, field
 from typing import Literal
@@ -50,8 +50,8 @@ class TrainingConfig:
     (the paper)."""
 
     objective: Literal["acceleration", "motion"] = "acceleration"
-    """What the loss compares: the accelerations and positions of equation 10, or, for a grid
-    stepper, the whole motion from the first frame on."""
+    """What the loss compares: the accelerations and positions of equation 10, or, for grid
+    and body steppers, the whole motion from the first frame on."""
 
     unroll: list[list[float]] | None = None
     """Stages [share of the budget at which it begins, frames per window]; null: one frame (the
