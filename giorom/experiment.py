@@ -14,168 +14,51 @@ from torch import Tensor, nn
 
 from giorom.config import Experiment
 from giorom.data.atomic import replacing, replacing_folder
-from giorom.data.statistics import Statistics
-from giorom.data.trajectory_file import iterate_trajectories, read_metadata
-from giorom.data.windows import (
-    SampledTrajectory,
-    Windows,
-    concatenate_windows,
-    sample_trajectories,
-    window_at,
-)
+from giorom.data.windows import concatenate_windows, window_at
 from giorom.evaluation.metrics import squared_error_per_frame
 from giorom.evaluation.rollout import roll_out
 from giorom.evaluation.trivial import hold_still
-from giorom.graph import RadiusChoice, choose_radius
-from giorom.normalization import Normalization
 from giorom.pipeline import Connect, Dynamics
-from giorom.sampling import sample
 from giorom.simulator import Simulator, SimulatorConfig
-from giorom.state import SparseState, Trajectory
+from giorom.state import SparseState
 from giorom.training.checkpoint import CHECKPOINT_PREFIX
 from giorom.training.coverage import check_coverage
-from giorom.training.field_loop import thin, train_field
+from giorom.training.field_loop import train_field
 from giorom.training.goals import seconds_of_stage, time_to
-from giorom.training.loop import (
-    Budget,
-    StepperTraining,
-    append_log,
-    train_stepper,
-)
+from giorom.training.loop import RunState, StepperTraining, append_log, train_stepper
 from giorom.training.search import StepperSearch, searched_entries
 from giorom.training.skip import fit_skip
+from giorom.training.training_config import Budget
+from giorom.training_data import (
+    TrainingData,
+    all_held,
+    first_acceleration,
+    fit_normalization,
+    load_training_data,
+)
 from giorom.version import __version__
 
 PRELUDE = 0.1
 """Largest share of the budget of minutes that the field, and again the skip, may use."""
 
-FALLING_FRAMES = 4
-"""Frames at the start of each trajectory that say what gravity is."""
-
-RADIUS_BODIES = 16
-"""Training bodies whose connectivity decides the graph radius."""
-
 Report = Callable[[str, dict[str, Any]], None]
 """Called with a stage and numbers, for a progress bar."""
 
+Validate = Callable[[nn.Module], dict[str, float]]
+"""Scores of a model on the held-out trajectories."""
+
 
 @dataclass(frozen=True, kw_only=True)
-class TrainingData:
-    """What a run reads of a data set."""
+class _Run:
+    """What every stage of a training run works with."""
 
-    metadata: dict[str, Any]
-    """Metadata of the data set."""
-
-    choice: RadiusChoice
-    """Graph radius and its reason."""
-
-    windows: Windows
-    """Training windows."""
-
-    thinned: list[Trajectory]
-    """Training trajectories for the field."""
-
-    validation: list[SampledTrajectory]
-    """Held-out trajectories, sampled as in use."""
-
-    latent_bounds: list[list[float]]
-    """Padded bounds of the training positions [m]."""
-
-
-def load_training_data(experiment: Experiment, folder: Path) -> TrainingData:
-    """Read, sample and thin a data set.
-
-    Raises:
-        ValueError: If the data set is unfinished, damaged, of another dimension or frame time.
-    """
-    metadata = read_metadata(folder)
-    _check_match(experiment, metadata, folder)
-    training = experiment.training
-    full = list(iterate_trajectories(folder, "train"))
-    choice = choose_common_radius(full, experiment)
-    reference = choice.radius if experiment.graph.configuration == "reference" else None
-    past = experiment.features.velocities if training.straight_past else 0
-    sampled = sample_trajectories(
-        full,
-        experiment.sampling,
-        subsets=training.subsets,
-        reference_radius=reference,
-        kind=experiment.graph.kind,
-        past=past,
-    )
-    validation = sample_trajectories(
-        iterate_trajectories(folder, "valid"),
-        experiment.sampling,
-        subsets=1,
-        reference_radius=reference,
-        kind=experiment.graph.kind,
-        past=past,
-    )
-    return TrainingData(
-        metadata=metadata,
-        choice=choice,
-        windows=Windows(
-            sampled,
-            history=experiment.features.history,
-            future=training.longest_unroll,
-            starts=training.objective == "motion",
-        ),
-        thinned=[thin(t, experiment.field_training, seed=i) for i, t in enumerate(full)],
-        validation=validation[: training.validation_trajectories],
-        latent_bounds=padded_bounds(full, turned=training.turn),
-    )
-
-
-def choose_common_radius(trajectories: list[Trajectory], experiment: Experiment) -> RadiusChoice:
-    """The largest of the radii that some training bodies ask for, or the configured one."""
-    config = experiment.graph
-    choices = []
-    for trajectory in trajectories[:RADIUS_BODIES]:
-        start = trajectory.position[0]
-        samples = start[sample(start, experiment.sampling)]
-        choices.append(choose_radius(samples, start, margin=config.margin))
-    largest = max(choices, key=lambda choice: choice.radius)
-    if config.radius is None:
-        return largest
-    margin = config.radius / max(largest.smallest, largest.full_radius)
-    return replace(largest, radius=config.radius, margin=margin, mean_degree=math.nan)
-
-
-def padded_bounds(trajectories: list[Trajectory], *, turned: bool) -> list[list[float]]:
-    """Bounds of all training positions, a tenth of their extent wider on every side.
-
-    Args:
-        trajectories: Training trajectories.
-        turned: Whether training turns them about the vertical axis.
-    """
-    low = torch.stack([t.position.amin(dim=(0, 1)) for t in trajectories]).amin(dim=0)
-    high = torch.stack([t.position.amax(dim=(0, 1)) for t in trajectories]).amax(dim=0)
-    if turned:
-        center = trajectories[0].bounds.mean(dim=1)
-        level = [axis for axis in range(len(center)) if axis != 1]
-        distances = [(t.position - center)[..., level].norm(dim=2).max() for t in trajectories]
-        reach = torch.stack(distances).max()
-        low[level], high[level] = center[level] - reach, center[level] + reach
-    pad = 0.1 * (high - low)
-    return torch.stack([low - pad, high + pad], dim=1).tolist()
-
-
-def fit_normalization(experiment: Experiment, metadata: dict[str, Any]) -> Normalization:
-    """Scales of the training split and the training noise, in SI units."""
-    frame_dt = float(metadata["dt"])
-    statistics = Statistics.from_metadata(metadata).in_si(frame_dt=frame_dt)
-    dimension = len(statistics.velocity_mean)
-    gravity = tuple(-experiment.scene.gravity * (axis == 1) for axis in range(dimension))
-    return Normalization.fit(
-        velocity_mean=tuple(statistics.velocity_mean.tolist()),
-        velocity_std=tuple(statistics.velocity_std.tolist()),
-        acceleration_mean=tuple(statistics.acceleration_mean.tolist()),
-        acceleration_std=tuple(statistics.acceleration_std.tolist()),
-        noise_std=experiment.training.noise_std,
-        frame_dt=frame_dt,
-        isotropic=experiment.training.isotropic,
-        gravity=gravity if experiment.training.explicit_gravity else None,
-    )
+    experiment: Experiment
+    data: TrainingData
+    simulator: Simulator
+    out: Path
+    budget: Budget
+    seed: int
+    report: Report
 
 
 def build_simulator(experiment: Experiment, data: TrainingData) -> Simulator:
@@ -206,24 +89,9 @@ def build_simulator(experiment: Experiment, data: TrainingData) -> Simulator:
             solver=experiment.solver,
         )
     )
-    if network is None and not _all_held(data.windows.trajectories):
+    if network is None and not all_held(data.windows.trajectories):
         simulator.dynamics.gravity.copy_(first_acceleration(data.windows.trajectories))
     return simulator
-
-
-def _all_held(trajectories: list[SampledTrajectory]) -> bool:
-    """Whether every body is held, so that its first acceleration says nothing about gravity."""
-    return all(t.body is not None and bool(t.body.kinematic.any()) for t in trajectories)
-
-
-def first_acceleration(trajectories: list[SampledTrajectory]) -> Tensor:
-    """Mean acceleration of the first frames, before anything touches anything: gravity [m/s^2]."""
-    found = [
-        t.motion.position[: FALLING_FRAMES + 2].double().diff(n=2, dim=0).mean(dim=(0, 1))
-        / t.motion.frame_dt**2
-        for t in trajectories
-    ]
-    return torch.stack(found).median(dim=0).values.float()
 
 
 def train(
@@ -256,69 +124,101 @@ def train(
     torch.manual_seed(seed)
     data = load_training_data(experiment, data_folder)
     report("note", {"text": str(data.choice)})
-    simulator = build_simulator(experiment, data)
-    searches = experiment.training.optimizer == "cma"
-    if searches:
-        searched_entries(simulator.dynamics, data.windows)
-    coverage = None
-    if isinstance(simulator.dynamics, Dynamics):
-        network = simulator.dynamics.time_stepper
-        coverage = check_coverage(network, data.windows, experiment.training)
-        text = f"the latent grid reaches {100.0 * coverage:.1f} % of the samples"
-        report("note", {"text": text})
+    run = _Run(
+        experiment=experiment,
+        data=data,
+        simulator=build_simulator(experiment, data),
+        out=out,
+        budget=budget,
+        seed=seed,
+        report=report,
+    )
+    simulator = run.simulator
+    if experiment.training.optimizer == "cma":
+        searched_entries(simulator.dynamics, data.windows)  # refuses too many before any work
+    coverage = _coverage(run)
     validate = _validation(experiment, data, connect=simulator.connect, device=device)
     _prepare_folder(out, _identity(experiment, simulator.config, seed=seed), resume=resume)
     if not resume and coverage is not None:
         append_log(out / "log.jsonl", {"stage": "coverage", "share": coverage})
-    _train_field(simulator, experiment, data, out=out, budget=budget, seed=seed, report=report)
+    _train_field(run)
     interrupted = resume and any((out / "checkpoints").glob(f"{CHECKPOINT_PREFIX}*"))
     if _has_skip(simulator) and not interrupted:
-        _fit_skip(simulator, experiment, data, out=out, budget=budget, seed=seed, report=report)
+        _fit_skip(run)
     simulator.to(device)
-    training = (StepperSearch if searches else StepperTraining)(
+    counters = _train_stepper(run, validate, interrupted=interrupted)
+    return _summary(run, counters, coverage=coverage, seconds=time.perf_counter() - start)
+
+
+def _coverage(run: _Run) -> float | None:
+    """Share of the samples that the latent grid reaches; none where no network is trained."""
+    dynamics = run.simulator.dynamics
+    if not isinstance(dynamics, Dynamics):
+        return None
+    share = check_coverage(dynamics.time_stepper, run.data.windows, run.experiment.training)
+    run.report("note", {"text": f"the latent grid reaches {100.0 * share:.1f} % of the samples"})
+    return share
+
+
+def _train_stepper(run: _Run, validate: Validate, *, interrupted: bool) -> RunState:
+    """Train what moves the samples and keep the best simulator.
+
+    Raises:
+        FloatingPointError: If every validation rollout diverged.
+    """
+    simulator, config, budget = run.simulator, run.experiment.training, run.budget
+    training = (StepperSearch if config.optimizer == "cma" else StepperTraining)(
         simulator.dynamics,
-        experiment.training,
-        windows=data.windows,
+        config,
+        windows=run.data.windows,
         connect=simulator.connect,
-        seed=seed,
-        folder=out,
+        seed=run.seed,
+        folder=run.out,
     )
     if interrupted:
         training.resume()
     preludes = 1 + simulator.field.learns
     minutes = None if budget.minutes is None else (1.0 - preludes * PRELUDE) * budget.minutes
-    run = train_stepper(
+    counters = train_stepper(
         training,
         replace(budget, minutes=minutes),
         validate=validate,
-        keep=lambda best: _keep(simulator, best, out),
-        report=lambda numbers: report("time_stepper", numbers),
+        keep=lambda best: _keep(simulator, best, run.out),
+        report=lambda numbers: run.report("time_stepper", numbers),
     )
-    if not math.isfinite(run.best):
+    if not math.isfinite(counters.best):
         raise FloatingPointError(
-            f"every validation rollout diverged, so {out} holds no simulator. Continue it with "
+            f"every validation rollout diverged, so {run.out} holds no simulator. Continue it with "
             f"--resume and a larger budget, or lower TrainingConfig.learning_rate."
         )
+    return counters
+
+
+def _summary(
+    run: _Run, counters: RunState, *, coverage: float | None, seconds: float
+) -> dict[str, Any]:
+    """The keys of ``giorom train --json``."""
+    config = run.experiment.training
     return {
-        "steps": run.step,
-        "seconds": time.perf_counter() - start,
-        "steps_per_second": run.step / max(run.seconds, 1e-9),
-        "best_rollout_mse": run.best,
+        "steps": counters.step,
+        "seconds": seconds,
+        "steps_per_second": counters.step / max(counters.seconds, 1e-9),
+        "best_rollout_mse": counters.best,
         "time_to": time_to(
-            run.history or [],
-            experiment.training.goals,
-            unit=experiment.training.goal_unit,
-            earlier=seconds_of_stage(out / "log.jsonl", "skip"),
+            counters.history or [],
+            config.goals,
+            unit=config.goal_unit,
+            earlier=seconds_of_stage(run.out / "log.jsonl", "skip"),
         ),
         "latent_coverage": coverage,
-        "parameters": sum(p.numel() for p in simulator.dynamics.parameters()),
-        "field_parameters": sum(p.numel() for p in simulator.field.parameters()),
-        "radius": data.choice.radius,
-        "seed": seed,
+        "parameters": sum(p.numel() for p in run.simulator.dynamics.parameters()),
+        "field_parameters": sum(p.numel() for p in run.simulator.field.parameters()),
+        "radius": run.data.choice.radius,
+        "seed": run.seed,
         "threads": torch.get_num_threads(),
         "torch": torch.__version__,
         "giorom": __version__,
-        "history": run.history,
+        "history": counters.history,
     }
 
 
@@ -328,70 +228,52 @@ def _has_skip(simulator: Simulator) -> bool:
     return network is not None and network.input_skip != "none"
 
 
-def _fit_skip(
-    simulator: Simulator,
-    experiment: Experiment,
-    data: TrainingData,
-    *,
-    out: Path,
-    budget: Budget,
-    seed: int,
-    report: Report,
-) -> None:
+def _fit_skip(run: _Run) -> None:
     """Fit the pointwise skip and log how long it took."""
-    begin = time.perf_counter()
+    begin, minutes = time.perf_counter(), run.budget.minutes
     explained = fit_skip(
-        simulator.dynamics,
-        data.windows,
-        experiment.training,
-        seed=seed,
-        minutes=math.inf if budget.minutes is None else PRELUDE * budget.minutes,
-        report=lambda numbers: report("skip", numbers),
+        run.simulator.dynamics,
+        run.data.windows,
+        run.experiment.training,
+        seed=run.seed,
+        minutes=math.inf if minutes is None else PRELUDE * minutes,
+        report=lambda numbers: run.report("skip", numbers),
     )
     entry = {"seconds": time.perf_counter() - begin, "explained": explained}
-    append_log(out / "log.jsonl", {"stage": "skip", **entry})
+    append_log(run.out / "log.jsonl", {"stage": "skip", **entry})
 
 
-def _train_field(
-    simulator: Simulator,
-    experiment: Experiment,
-    data: TrainingData,
-    *,
-    out: Path,
-    budget: Budget,
-    seed: int,
-    report: Report,
-) -> None:
+def _train_field(run: _Run) -> None:
     """Train the field if it learns, or load the one the run has already finished."""
     from safetensors.torch import load_file, save_file
 
-    if not simulator.field.state_dict():
+    field, config = run.simulator.field, run.experiment.field_training
+    if not field.state_dict():
         return
-    done = out / "field.safetensors"
+    done = run.out / "field.safetensors"
     if done.is_file():
-        simulator.field.load_state_dict(load_file(done))
+        field.load_state_dict(load_file(done))
         return
-    config = experiment.field_training
     minutes = config.minutes
-    if budget.minutes is not None:
-        minutes = min(minutes, PRELUDE * budget.minutes)
+    if run.budget.minutes is not None:
+        minutes = min(minutes, PRELUDE * run.budget.minutes)
     result = train_field(
-        simulator.field,
-        data.thinned,
+        field,
+        run.data.thinned,
         config,
-        seed=seed,
+        seed=run.seed,
         minutes=minutes,
-        turn=experiment.training.turn,
-        report=lambda numbers: report("field", numbers),
+        turn=run.experiment.training.turn,
+        report=lambda numbers: run.report("field", numbers),
     )
     with replacing(done) as temporary:
-        save_file(simulator.field.state_dict(), temporary)
-    append_log(out / "log.jsonl", {"stage": "field", **result})
+        save_file(field.state_dict(), temporary)
+    append_log(run.out / "log.jsonl", {"stage": "field", **result})
 
 
 def _validation(
     experiment: Experiment, data: TrainingData, *, connect: Connect, device: str
-) -> Callable[[nn.Module], dict[str, float]]:
+) -> Validate:
     """A function that rolls the held-out trajectories out and scores them."""
     history = experiment.features.history
     if not data.validation:
@@ -464,21 +346,3 @@ def _identity(experiment: Experiment, config: SimulatorConfig, *, seed: int) -> 
         "field_training": asdict(experiment.field_training),
         "seed": seed,
     }
-
-
-def _check_match(experiment: Experiment, metadata: dict[str, Any], folder: Path) -> None:
-    """Reject data that the experiment was not made for."""
-    found, wanted = int(metadata["dim"]), experiment.scene.dimension
-    if found != wanted:
-        raise ValueError(
-            f"{folder} has dim={found}, the experiment {experiment.system} expects {wanted}. Use "
-            f"the preset the data were made with; for imported data, one of {found} dimensions, or "
-            f"change it with --scene.dimension {found}."
-        )
-    frame_dt, expected = float(metadata["dt"]), experiment.solver.frame_dt
-    if abs(frame_dt - expected) > 1e-6 * expected:
-        raise ValueError(
-            f"{folder} has dt={frame_dt:g}, the experiment {experiment.system} expects "
-            f"{expected:g}. Use the preset the data were made with; for imported data, change it "
-            f"with --solver.frame_dt {frame_dt!r}."
-        )

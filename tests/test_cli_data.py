@@ -18,9 +18,9 @@ from giorom.config import load_experiment
 from giorom.data.trajectory_file import SPLITS, read_trajectory, trajectory_count
 from giorom.data.work_folder import assemble_dataset, open_work_folder, write_part
 from giorom.evaluation.evaluate import evaluate_trajectory
-from giorom.experiment import load_training_data
 from giorom.simulator import Simulator
 from giorom.state import KINEMATIC
+from giorom.training_data import load_training_data
 
 h5py = pytest.importorskip("h5py")
 

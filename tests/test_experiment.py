@@ -10,13 +10,9 @@ import torch
 
 from giorom.data.statistics import measure_statistics
 from giorom.data.trajectory_file import iterate_trajectories, read_metadata
-from giorom.experiment import (
-    fit_normalization,
-    load_training_data,
-    padded_bounds,
-)
 from giorom.simulator import Simulator
 from giorom.state import Trajectory
+from giorom.training_data import fit_normalization, load_training_data, padded_bounds
 
 
 def test_run_is_never_written_over(tiny, data_folder, run_folder, run_training):

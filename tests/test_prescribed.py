@@ -14,13 +14,14 @@ from giorom.data.windows import WindowBatch
 from giorom.evaluation.evaluate import evaluate_trajectory
 from giorom.evaluation.rollout import roll_out
 from giorom.evaluation.trivial import constant_velocity, free_fall, hold_still
-from giorom.experiment import _validation, load_training_data
+from giorom.experiment import _validation
 from giorom.features import FeatureConfig
 from giorom.normalization import Normalization
 from giorom.pipeline import Dynamics, connect_within, integrated, rollout, start_from_trajectory
 from giorom.state import KINEMATIC, SAND, SparseState, Trajectory
 from giorom.training.loss import unrolled_loss
 from giorom.training.noise import add_random_walk
+from giorom.training_data import load_training_data
 
 FRAME_DT, WALL = 0.25, [0, 2]
 CONNECT = connect_within(10.0, configuration="current")

@@ -7,8 +7,9 @@ import pytest
 import torch
 
 from giorom.config import StepperChoice
-from giorom.experiment import build_simulator, load_training_data
+from giorom.experiment import build_simulator
 from giorom.training.coverage import check_coverage, measure_coverage
+from giorom.training_data import load_training_data
 
 FAR = [[5.0, 6.0]] * 3
 """A grid where no body is."""

@@ -9,11 +9,12 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from giorom.experiment import build_simulator, load_training_data
+from giorom.experiment import build_simulator
 from giorom.training import loop
 from giorom.training.checkpoint import CheckpointError
 from giorom.training.loop import StepperTraining, train_stepper
 from giorom.training.training_config import Budget, TrainingConfig, learning_rate
+from giorom.training_data import load_training_data
 
 
 def stop_at(step):

@@ -10,9 +10,10 @@ import pytest
 import torch
 
 from giorom.config import load_experiment, merged
-from giorom.experiment import build_simulator, load_training_data
+from giorom.experiment import build_simulator
 from giorom.time_stepper import TimeStepper
 from giorom.training.loop import StepperTraining
+from giorom.training_data import load_training_data
 
 NO_MESSAGES = {"layers_before": 0, "layers_after": 0}
 FOURIER = {"processor": "fourier", "occupied_tokens": False, "fourier_modes": 4}
