@@ -1,10 +1,8 @@
-# Warp needs float(0.0) to declare a variable that is assigned again.
-# ruff: noqa: UP018
 """The grid stepper's substep as NVIDIA Warp kernels: the fast path where no gradient is needed.
 
-The same arithmetic as ``grid_stepper.py`` and ``learned_law.py`` in plain tensors, which stay the
-reference (tests compare the two), in three kernels without temporaries. Imported when the first
-rollout without gradients starts, and only where Warp is installed.
+The same arithmetic as ``grid_stepper.py`` in plain tensors, which stays the reference, in three
+kernels without temporaries; the law is in ``law_kernels.py``. Imported when the first rollout
+without gradients starts, and only where Warp is installed.
 """
 
 from functools import cache
@@ -14,70 +12,12 @@ from typing import Any, no_type_check
 import warp as wp  # noqa: TID253
 from torch import Tensor
 
-from giorom.layers.learned_law import NEWTON_STEPS, SOLID, Strain
+from giorom.layers.law_kernels import law_functions
+from giorom.layers.learned_law import Strain
 from giorom.layers.spline_grid import MARGIN, SplineGrid
-from giorom.state import GOOP, SAND, WATER
 from giorom.warp_start import start_warp
 
-CONSTANTS = ("bulk", "shear", "exponent", "strength", "friction", "relaxation")
-"""Columns of the table of constants, one row per particle type."""
-
 wp.config.log_level = wp.LOG_WARNING
-
-
-@no_type_check
-def _law(dimension: int) -> SimpleNamespace:  # noqa: C901  (counts the functions inside)
-    """Stress and flow of the learned law; one row of constants is a vector of six."""
-    matrix = wp.types.matrix((dimension, dimension), dtype=float)
-    constants = wp.types.vector(len(CONSTANTS), dtype=float)
-
-    @wp.func
-    def pull(ratio: float, kind: int, c: constants):
-        result = c[0] * (wp.pow(ratio, c[2]) - 1.0) / c[2]
-        if kind == wp.static(SAND):
-            result = wp.min(result, 0.0)
-        return result
-
-    @wp.func
-    def deviator(b: matrix):
-        return b - wp.trace(b) / float(dimension) * wp.identity(n=dimension, dtype=float)
-
-    @wp.func
-    def stress(b: matrix, ratio: float, kind: int, c: constants):
-        identity = wp.identity(n=dimension, dtype=float)
-        return c[1] * deviator(b) + pull(ratio, kind, c) * identity
-
-    @wp.func
-    def with_unit_determinant(deviation: matrix):
-        half = 0.5 * wp.ddot(deviation, deviation)
-        mean = float(0.0)
-        if wp.static(dimension == 2):
-            mean = wp.sqrt(1.0 + half)
-        else:
-            rest = wp.determinant(deviation) - 1.0
-            mean = 1.0 + wp.sqrt(half)
-            for _ in range(wp.static(NEWTON_STEPS)):
-                slope = wp.max(3.0 * mean * mean - half, 0.1)
-                mean = mean - (mean * mean * mean - half * mean + rest) / slope
-        return deviation + mean * wp.identity(n=dimension, dtype=float)
-
-    @wp.func
-    def returned(trial: matrix, ratio: float, kind: int, c: constants, dt: float):
-        deviation = deviator(trial)
-        bears = c[3]
-        if kind == wp.static(SAND):
-            bears = c[4] * wp.max(-pull(ratio, kind, c), 0.0)
-        if kind == wp.static(WATER):
-            bears = 0.0
-        length = wp.sqrt(wp.max(wp.ddot(deviation, deviation), 1.0e-12))
-        excess = wp.max(1.0 - bears / (c[1] * length), 0.0)
-        if kind == wp.static(GOOP):
-            excess = excess * (1.0 - wp.exp(-dt / c[5]))
-        if kind == wp.static(SOLID[0]) or kind == wp.static(SOLID[1]):
-            excess = 0.0
-        return with_unit_determinant((1.0 - excess) * deviation)
-
-    return SimpleNamespace(matrix=matrix, constants=constants, stress=stress, returned=returned)
 
 
 @no_type_check
@@ -325,7 +265,7 @@ def build_kernels(dimension: int) -> SimpleNamespace:
     Args:
         dimension: Space dimension, 2 or 3.
     """
-    law, around = _law(dimension), _stencil(dimension)
+    law, around = law_functions(dimension), _stencil(dimension)
     module = wp.get_module(f"{__name__}.d{dimension}")
     return SimpleNamespace(
         to_grid=_to_grid(dimension, law, around, module),
@@ -375,7 +315,7 @@ def advance_samples(
         held: Prescribed samples.
         volume: Particles each sample stands for.
         mass: The same, larger for held samples.
-        table: Constants of the law, one row per particle type, columns as ``CONSTANTS``.
+        table: Constants of the law, ``LearnedLaw.table``.
         gravity: Gravity [m/s^2].
         bounds: Walls [m].
         own_share: Share of its own velocity that a sample keeps.
