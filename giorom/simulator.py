@@ -7,7 +7,6 @@ executable: safetensors holds tensors, JSON holds values, and every key is check
 import dataclasses
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,14 +16,9 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 
-from giorom.body_stepper import BodyStepper, BodyStepperConfig
-from giorom.features import FeatureConfig
-from giorom.fields import FieldConfig, FieldDecoder, build_field
-from giorom.graph import GraphConfig
-from giorom.grid_stepper import GridStepper, GridStepperConfig
-from giorom.mpm.scene_config import SceneConfig
-from giorom.mpm.simulate import SolverConfig
-from giorom.normalization import Normalization
+from giorom.body_stepper import BodyStepper
+from giorom.fields import FieldDecoder, build_field
+from giorom.grid_stepper import GridStepper
 from giorom.pipeline import (
     Connect,
     Dynamics,
@@ -34,10 +28,20 @@ from giorom.pipeline import (
     unconnected,
 )
 from giorom.records import nearest, one_line, parse_record
-from giorom.sampling import SamplingConfig, represented_particles, sample
+from giorom.sampling import represented_particles, sample
+from giorom.simulator_config import SimulatorConfig
 from giorom.state import KINEMATIC, Body, SparseState, Trajectory
-from giorom.time_stepper import TimeStepper, TimeStepperConfig
+from giorom.time_stepper import TimeStepper
 from giorom.version import __version__
+
+__all__ = [
+    "PRETRAINED",
+    "Simulator",
+    "SimulatorConfig",
+    "check_frames",
+    "pretrained_directory",
+    "pretrained_names",
+]
 
 PRETRAINED = Path(__file__).parent / "pretrained"
 """Models that are part of the package."""
@@ -47,90 +51,6 @@ MOST_RESULT_BYTES = 64 << 30
 
 FORMAT_VERSION = 2
 """Version of the stored form; version 1 knew the neural basis alone."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class SimulatorConfig:
-    """Everything about a trained simulator except its weights."""
-
-    system: str
-    """Physical system it was trained on."""
-
-    dimension: int
-    """Space dimension."""
-
-    frame_dt: float
-    """Time between frames [s]."""
-
-    bounds: list[list[float]]
-    """Lower and upper wall on each axis [m]."""
-
-    sampling: SamplingConfig
-    """Stage 2."""
-
-    graph: GraphConfig
-    """Stage 3; the radius is set."""
-
-    features: FeatureConfig
-    """Stage 3b."""
-
-    normalization: Normalization
-    """Scales of the training data."""
-
-    field: FieldConfig
-    """Stage 6."""
-
-    scene: SceneConfig
-    """Scenes it was trained on; what a demonstration draws from."""
-
-    solver: SolverConfig
-    """Simulator that made its training data: the referee."""
-
-    time_stepper: TimeStepperConfig | None = None
-    """Stage 4, the network; or none."""
-
-    grid_stepper: GridStepperConfig | None = None
-    """Stages 4 and 5 by a coarse grid instead of a network; or none."""
-
-    body_stepper: BodyStepperConfig | None = None
-    """Stages 4 and 5 by a grid fixed to the undeformed body; or none."""
-
-    def __post_init__(self) -> None:
-        """Reject parts that do not fit together."""
-        found = {
-            "bounds": len(self.bounds),
-            "normalization": len(self.normalization.velocity_std),
-            "scene.dimension": self.scene.dimension,
-        }
-        for name, dimension in found.items():
-            if dimension != self.dimension:
-                raise ValueError(
-                    f"SimulatorConfig.dimension is {self.dimension}, but {name} is made for "
-                    f"{dimension}. All parts need the same one."
-                )
-        steppers = (self.time_stepper, self.grid_stepper, self.body_stepper)
-        if sum(stepper is not None for stepper in steppers) != 1:
-            raise ValueError(
-                "SimulatorConfig needs exactly one of time_stepper, grid_stepper and body_stepper: "
-                "one of them moves the samples."
-            )
-        if self.time_stepper is not None:
-            self._check_network(self.time_stepper)
-
-    def _check_network(self, network: TimeStepperConfig) -> None:
-        if network.dimension != self.dimension:
-            raise ValueError(
-                f"SimulatorConfig.dimension is {self.dimension}, but time_stepper.dimension is "
-                f"made for {network.dimension}. All parts need the same one."
-            )
-        widths = (network.node_width, network.edge_width)
-        features = self.features
-        wanted = (features.node_width(self.dimension), features.edge_width(self.dimension))
-        if widths != wanted:
-            raise ValueError(
-                f"the features have {wanted} channels per node and edge, but "
-                f"SimulatorConfig.time_stepper takes {widths}. Both come from the same training."
-            )
 
 
 class Simulator(nn.Module):

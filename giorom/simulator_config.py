@@ -1,0 +1,101 @@
+"""Everything about a trained simulator except its weights.
+
+One record of the parts, each beside the code it steers, and the rule that they fit together.
+"""
+
+from dataclasses import dataclass
+
+from giorom.body_stepper import BodyStepperConfig
+from giorom.features import FeatureConfig
+from giorom.fields import FieldConfig
+from giorom.graph import GraphConfig
+from giorom.grid_stepper import GridStepperConfig
+from giorom.mpm.scene_config import SceneConfig
+from giorom.mpm.simulate import SolverConfig
+from giorom.normalization import Normalization
+from giorom.sampling import SamplingConfig
+from giorom.time_stepper import TimeStepperConfig
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimulatorConfig:
+    """Everything about a trained simulator except its weights."""
+
+    system: str
+    """Physical system it was trained on."""
+
+    dimension: int
+    """Space dimension."""
+
+    frame_dt: float
+    """Time between frames [s]."""
+
+    bounds: list[list[float]]
+    """Lower and upper wall on each axis [m]."""
+
+    sampling: SamplingConfig
+    """Stage 2."""
+
+    graph: GraphConfig
+    """Stage 3; the radius is set."""
+
+    features: FeatureConfig
+    """Stage 3b."""
+
+    normalization: Normalization
+    """Scales of the training data."""
+
+    field: FieldConfig
+    """Stage 6."""
+
+    scene: SceneConfig
+    """Scenes it was trained on; what a demonstration draws from."""
+
+    solver: SolverConfig
+    """Simulator that made its training data: the referee."""
+
+    time_stepper: TimeStepperConfig | None = None
+    """Stages 4 and 5, the network and semi-implicit Euler; or none."""
+
+    grid_stepper: GridStepperConfig | None = None
+    """Stages 4 and 5 by a coarse grid instead of a network; or none."""
+
+    body_stepper: BodyStepperConfig | None = None
+    """Stages 4 and 5 by a grid fixed to the undeformed body; or none."""
+
+    def __post_init__(self) -> None:
+        """Reject parts that do not fit together."""
+        found = {
+            "bounds": len(self.bounds),
+            "normalization": len(self.normalization.velocity_std),
+            "scene.dimension": self.scene.dimension,
+        }
+        for name, dimension in found.items():
+            if dimension != self.dimension:
+                raise ValueError(
+                    f"SimulatorConfig.dimension is {self.dimension}, but {name} is made for "
+                    f"{dimension}. All parts need the same one."
+                )
+        steppers = (self.time_stepper, self.grid_stepper, self.body_stepper)
+        if sum(stepper is not None for stepper in steppers) != 1:
+            raise ValueError(
+                "SimulatorConfig needs exactly one of time_stepper, grid_stepper and body_stepper: "
+                "one of them moves the samples."
+            )
+        if self.time_stepper is not None:
+            self._check_network(self.time_stepper)
+
+    def _check_network(self, network: TimeStepperConfig) -> None:
+        if network.dimension != self.dimension:
+            raise ValueError(
+                f"SimulatorConfig.dimension is {self.dimension}, but time_stepper.dimension is "
+                f"made for {network.dimension}. All parts need the same one."
+            )
+        widths = (network.node_width, network.edge_width)
+        features = self.features
+        wanted = (features.node_width(self.dimension), features.edge_width(self.dimension))
+        if widths != wanted:
+            raise ValueError(
+                f"the features have {wanted} channels per node and edge, but "
+                f"SimulatorConfig.time_stepper takes {widths}. Both come from the same training."
+            )
