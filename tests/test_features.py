@@ -1,4 +1,4 @@
-"""What the time-stepper sees: widths, order, invariance, and finite gradients."""
+"""What the network sees: widths, order, invariance, and finite gradients."""
 
 from dataclasses import replace
 from itertools import product
