@@ -150,10 +150,12 @@ def print_table(
     """Print a table unless --quiet."""
     if arguments.quiet:
         return
+    from rich.box import SIMPLE_HEAD
     from rich.console import Console
     from rich.table import Table
 
-    table = Table(title=title, title_justify="left")
+    # Without vertical lines seven columns of numbers fit a screen of 80 characters.
+    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
     for number, column in enumerate(header):
         first = number == 0
         table.add_column(column, justify="left" if first else "right", no_wrap=first)
