@@ -7,8 +7,9 @@ from giorom.commands.shared import print_table, say
 from giorom.evaluation.catalogue import catalogue
 from giorom.simulator import PRETRAINED
 
-SIZES = ("model", "points", "samples", "frames", "training", "one step", "rollout")
-"""Columns of the first table; errors on the samples."""
+SIZES = ("model", "points", "samples", "frames", "cost", "step", "rollout")
+"""Columns of the first table: what it was scored on, the time of training, errors on the samples of
+one step and of rollouts."""
 
 ERRORS = ("model", "rollout", "still", "straight", "fall", "oracle", "paper")
 """Columns of the second table; errors on all particles."""
@@ -58,4 +59,4 @@ def _errors(model: dict[str, Any]) -> tuple[str, ...]:
 
 
 def _number(value: float | None) -> str:
-    return "" if value is None else f"{value:.1e}"
+    return "" if value is None else f"{value:.1e}".replace("e-0", "e-")

@@ -155,7 +155,7 @@ def print_table(
     from rich.table import Table
 
     # Without vertical lines seven columns of numbers fit a screen of 80 characters.
-    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
+    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     for number, column in enumerate(header):
         first = number == 0
         table.add_column(column, justify="left" if first else "right", no_wrap=first)
