@@ -20,6 +20,7 @@ What is learned: the elastic constants and the viscosity, each divided by the de
 measured on the first frames of the training data, where these show it.
 """
 
+import math
 from dataclasses import dataclass, replace
 
 import torch
@@ -42,6 +43,12 @@ LARGEST_PHASE = 1.6
 
 STIFFENING = 1.5
 """How much stiffer a deformed body is taken to be than an undeformed one at most."""
+
+MOST_SUBSTEPS = 1000
+"""Largest number of steps per frame: more would never end."""
+
+MOST_CELLS = 100
+"""Largest number of cells per node distance; a body has fewer particles than that."""
 
 SMALLEST_VOLUME = 0.05
 """Volume ratio at which the pressure stops rising."""
@@ -73,15 +80,16 @@ class BodyStepperConfig:
 
     def __post_init__(self) -> None:
         """Reject what no grid can be built from."""
-        if not self.spacing > 0.0:
+        if not 0.0 < self.spacing < math.inf:
             raise ValueError(
-                f"BodyStepperConfig.spacing must be > 0 m, got {self.spacing!r}. Take about a "
-                f"fifth of the size of the body."
+                f"BodyStepperConfig.spacing must be > 0 m and finite, got {self.spacing!r}. Take "
+                f"about a fifth of the size of the body."
             )
-        for name in ("substeps", "cells"):
-            if getattr(self, name) < 1:
+        for name, most in (("substeps", MOST_SUBSTEPS), ("cells", MOST_CELLS)):
+            if not 1 <= getattr(self, name) <= most:
                 raise ValueError(
-                    f"BodyStepperConfig.{name} must be >= 1, got {getattr(self, name)!r}."
+                    f"BodyStepperConfig.{name} must lie between 1 and {most}, got "
+                    f"{getattr(self, name)!r}. A few are enough."
                 )
         if not 0.0 <= self.lumped <= 1.0:
             raise ValueError(
@@ -89,8 +97,11 @@ class BodyStepperConfig:
             )
         for name in ("held_rows", "height_spacing"):
             value = getattr(self, name)
-            if value is not None and not value > 0.0:
-                raise ValueError(f"BodyStepperConfig.{name} must be > 0 m, got {value!r}.")
+            if value is not None and not 0.0 < value < math.inf:
+                raise ValueError(
+                    f"BodyStepperConfig.{name} must be > 0 m and finite, got {value!r}. Leave it "
+                    f"out for its default."
+                )
 
     def grid(self, dimension: int) -> BodyGridConfig:
         """What the operators of a body depend on."""

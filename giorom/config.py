@@ -171,14 +171,14 @@ def load_experiment(name: str, overrides: dict[str, Any] | None = None) -> Exper
     Raises:
         ValueError: If there is no such preset, file or recipe, or a value is refused; one line.
     """
-    path, recipe = _preset_path(name), ""
+    path, recipe = _preset_path(name), None
     if not path.is_file() and "+" in name:
         preset, _, recipe = name.rpartition("+")
         path = _preset_path(preset)
     if not path.is_file():
         raise ValueError(f"there is no preset {name!r}. {nearest(name, preset_names())}")
     values = _read_values(path)
-    if recipe:
+    if recipe is not None:
         values |= _read_values(_recipe_path(recipe, values.get("system")))
     return parse_record(Experiment, merged(values, overrides or {}), where=name)
 

@@ -138,6 +138,8 @@ def train(
         searched_entries(simulator.dynamics, data.windows)  # refuses too many before any work
     coverage = _coverage(run)
     validate = _validation(experiment, data, connect=simulator.connect, device=device)
+    if not experiment.uses_network:
+        _try_step(simulator, data)
     _prepare_folder(out, _identity(experiment, simulator.config, seed=seed), resume=resume)
     if not resume and coverage is not None:
         append_log(out / "log.jsonl", {"stage": "coverage", "share": coverage})
@@ -220,6 +222,14 @@ def _summary(
         "giorom": __version__,
         "history": counters.history,
     }
+
+
+@torch.no_grad()
+def _try_step(simulator: Simulator, data: TrainingData) -> None:
+    """One step of the first scene: a grid that cannot be laid is refused before a folder is."""
+    history = simulator.config.features.history
+    state = window_at(data.validation[0], 0, history=history, future=1).state
+    simulator.dynamics.step(state, simulator.connect(state))
 
 
 def _has_skip(simulator: Simulator) -> bool:

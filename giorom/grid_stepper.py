@@ -11,6 +11,7 @@ What is learned: the constants of the law per particle type, and how much of the
 velocity survives a transfer. Gravity is measured on the first frames of the training data.
 """
 
+import math
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from typing import Literal
@@ -32,6 +33,9 @@ BEYOND = 0.25
 
 GRADIENT_STEPS = 4
 """Passes that find the velocity gradient at the start."""
+
+MOST_SUBSTEPS = 1000
+"""Largest number of steps per frame: more would never end."""
 
 LIGHTEST = 1e-9
 """Mass below which a node is empty, in particles."""
@@ -56,13 +60,17 @@ class GridStepperConfig:
 
     def __post_init__(self) -> None:
         """Reject what no grid can be built from."""
-        if not self.spacing > 0.0:
+        if not 0.0 < self.spacing < math.inf:
             raise ValueError(
-                f"GridStepperConfig.spacing must be > 0 m, got {self.spacing!r}. Take 1 to 1.5 "
-                f"times the distance between samples."
+                f"GridStepperConfig.spacing must be > 0 m and finite, got {self.spacing!r}. Take 1 "
+                f"to 1.5 times the distance between samples."
             )
-        if self.substeps < 1:
-            raise ValueError(f"GridStepperConfig.substeps must be >= 1, got {self.substeps!r}.")
+        if not 1 <= self.substeps <= MOST_SUBSTEPS:
+            raise ValueError(
+                f"GridStepperConfig.substeps must lie between 1 and {MOST_SUBSTEPS}, got "
+                f"{self.substeps!r}. A few are enough: a wave should cross less than a cell in "
+                f"each."
+            )
         if not 0.0 < self.own_share < 1.0:
             raise ValueError(
                 f"GridStepperConfig.own_share must lie between 0 and 1, got {self.own_share!r}."

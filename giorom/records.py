@@ -36,6 +36,11 @@ def parse_record(kind: type[Record], values: Any, *, where: str) -> Record:
     from jsonargparse import ArgumentError, ArgumentParser
 
     check_keys(kind, values, where=where)
+    for name, annotation in typing.get_type_hints(kind).items():
+        # What may be null is one of several types to the parser, whose message names them all.
+        inner = record_type(annotation)
+        if inner is not None and _takes_none(annotation) and isinstance(values.get(name), dict):
+            parse_record(inner, values[name], where=f"{where}[{name}]")
     parser = ArgumentParser(exit_on_error=False)
     parser.add_class_arguments(kind)
     try:

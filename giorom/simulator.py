@@ -242,6 +242,12 @@ class Simulator(nn.Module):
                 f"{directory / 'model.safetensors'} does not hold the weights that config.json "
                 f"describes ({one_line(error)[:200]}). Train again or copy the directory whole."
             ) from None
+        for key, value in simulator.state_dict().items():
+            if not bool(value.isfinite().all()):
+                raise ValueError(
+                    f"{directory / 'model.safetensors'}: {key} holds values that are not finite. "
+                    f"Train again or copy the directory whole."
+                )
         return simulator.eval().requires_grad_(False)
 
     def _check_dimension(self, position: Tensor) -> None:
@@ -305,12 +311,12 @@ def pretrained_names() -> list[str]:
 def _read_config(path: Path) -> SimulatorConfig:
     try:
         record: Any = json.loads(path.read_text())
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise ValueError(f"{path} is not readable JSON ({error}). Copy the model again.") from None
     if not isinstance(record, dict):
         raise ValueError(f"{path} must hold a JSON object. Copy the model again.")
     found = record.pop("format_version", None)
-    if not isinstance(found, int) or not 1 <= found <= FORMAT_VERSION:
+    if type(found) is not int or not 1 <= found <= FORMAT_VERSION:
         raise ValueError(
             f"{path} has format version {found!r}, this program reads 1 to {FORMAT_VERSION}. "
             f"Install a newer giorom."

@@ -3,6 +3,7 @@
 One record of the parts, each beside the code it steers, and the rule that they fit together.
 """
 
+import math
 from dataclasses import dataclass
 
 from giorom.body_stepper import BodyStepperConfig
@@ -65,6 +66,16 @@ class SimulatorConfig:
 
     def __post_init__(self) -> None:
         """Reject parts that do not fit together."""
+        if not 0.0 < self.frame_dt < math.inf:
+            raise ValueError(
+                f"SimulatorConfig.frame_dt must be > 0 s and finite, got {self.frame_dt!r}. Copy "
+                f"the model again."
+            )
+        if not all(len(b) == 2 and -math.inf < b[0] < b[1] < math.inf for b in self.bounds):
+            raise ValueError(
+                f"SimulatorConfig.bounds must be pairs [low, high] in metres with low < high, got "
+                f"{self.bounds!r}. Copy the model again."
+            )
         found = {
             "bounds": len(self.bounds),
             "normalization": len(self.normalization.velocity_std),

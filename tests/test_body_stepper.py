@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import pytest
 import torch
+import yaml
 
 from giorom.body_stepper import BodyStepper, BodyStepperConfig, cofactors
 from giorom.config import Experiment
@@ -289,6 +290,19 @@ def test_a_few_steps_of_training_beat_holding_still_and_are_stored(
     assert scores["one_step_mse"] < 0.1 * scores["rollout_mse"]
 
 
+def test_a_grid_that_cannot_be_laid_leaves_no_folder(tiny_values, data_folder, tmp_path, refuse):
+    """Refused before the run begins; a whole group is replaced, or taken away, by its name."""
+    file, out = tmp_path / "tiny.yaml", tmp_path / "run"
+    tiny_values["grid_stepper"] = {"spacing": 0.1}
+    tiny_values["training"] |= {"objective": "motion", "turn": False, "unroll": [[0.0, 3]]}
+    file.write_text(yaml.safe_dump(tiny_values))
+    words = ("train", "--config", file, "--data", data_folder, "--out", out, "--max-steps", 1)
+    line = refuse(*words, "--grid_stepper", "null", "--body_stepper", "{spacing: 1.0e-9}")
+    assert "Raise BodyStepperConfig.spacing" in line
+    assert "GridStepperConfig.spacing" in refuse(*words, "--grid_stepper.spacing", "1e-9")
+    assert not out.exists()
+
+
 def test_operators_are_kept_with_their_body_and_for_it_alone():
     """The same body: the same grid; an equal one: its own; a body that is gone leaves none."""
     config = BodyStepperConfig(spacing=0.05).grid(2)
@@ -341,7 +355,11 @@ def test_what_cannot_be_stepped_is_refused_in_one_line():
     ("values", "message"),
     [
         ({"spacing": 0.0}, "spacing must be > 0 m"),
-        ({"spacing": 0.1, "substeps": 0}, "substeps must be >= 1"),
+        ({"spacing": math.inf}, "spacing must be > 0 m and finite"),
+        ({"spacing": 0.1, "substeps": 0}, "substeps must lie between 1 and"),
+        ({"spacing": 0.1, "substeps": 10**9}, "substeps must lie between 1 and"),
+        ({"spacing": 0.1, "cells": 10**9}, "cells must lie between 1 and"),
+        ({"spacing": 0.1, "height_spacing": math.inf}, "height_spacing must be > 0 m and finite"),
         ({"spacing": 0.1, "lumped": 1.5}, "must lie in"),
         ({"spacing": 0.1, "held_rows": 0.0}, "held_rows must be > 0"),
     ],
@@ -349,3 +367,19 @@ def test_what_cannot_be_stepped_is_refused_in_one_line():
 def test_a_grid_that_cannot_be_is_refused(values, message):
     with pytest.raises(ValueError, match=message):
         BodyStepperConfig(**values)
+
+
+@pytest.mark.parametrize(("spacing", "message"), [(1e-9, "would have"), (1e-3, "free nodes")])
+def test_a_grid_that_no_memory_holds_is_refused_before_it_is_laid(spacing, message):
+    """1e-9 m: 1e16 nodes around the bar; 1e-3 m: nine rows of nodes around each particle."""
+    model, body = stepper(2, spacing=spacing), bar(sides=(30, 30))
+    with pytest.raises(ValueError, match=message):
+        moving(model, body, torch.zeros_like)
+
+
+@pytest.mark.parametrize("modulus", [1e30, math.inf, math.nan])
+def test_a_body_too_stiff_for_its_steps_fails_in_words(modulus):
+    model, body = stepper(2), bar()
+    model.log_shear.data.fill_(math.log(modulus))
+    with pytest.raises(FloatingPointError, match="too stiff for its steps"):
+        moving(model, body, torch.zeros_like)

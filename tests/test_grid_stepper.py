@@ -223,7 +223,9 @@ def test_training_finds_the_stiffness_that_made_the_motion():
     ("values", "message"),
     [
         ({"spacing": 0.0}, "spacing must be > 0 m"),
-        ({"spacing": 0.1, "substeps": 0}, "substeps must be >= 1"),
+        ({"spacing": math.inf}, "spacing must be > 0 m and finite"),
+        ({"spacing": 0.1, "substeps": 0}, "substeps must lie between 1 and"),
+        ({"spacing": 0.1, "substeps": 10**9}, "substeps must lie between 1 and"),
     ],
 )
 def test_a_grid_that_cannot_be_is_refused(values, message):

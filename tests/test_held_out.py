@@ -91,6 +91,15 @@ def test_scenes_a_model_was_trained_on_are_no_test(tmp_path):
         require_unseen(tmp_path, 1000)
 
 
+@pytest.mark.parametrize("text", ["[]", "{", "[" * 100_000])
+def test_a_damaged_record_of_the_training_is_refused_in_one_line(tmp_path, text):
+    """Names the file."""
+    (tmp_path / "training.json").write_text(text)
+    with pytest.raises(ValueError, match=r"training\.json .*Copy it again") as caught:
+        require_unseen(tmp_path, 1000)
+    assert "\n" not in str(caught.value)
+
+
 def test_the_catalogue_repeats_what_the_files_of_a_model_say(published):
     """Every number of an entry is that of the file; others are left alone."""
     scores = json.loads((published / "metrics.json").read_text())

@@ -64,3 +64,12 @@ def test_walls_lie_on_nodes():
     grid, _ = grid_and_points(2)
     for wall in (0.1, 0.9):
         assert float((grid.node_position[:, 0] - wall).abs().min()) < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("spacing", "message"), [(1e-30, "would have"), (1e-4, "would have"), (0.9, "not one cell")]
+)
+def test_a_grid_that_cannot_be_held_or_used_is_refused(spacing, message):
+    """Before it takes any memory, with the way out."""
+    with pytest.raises(ValueError, match=rf"{message}.*GridStepperConfig\.spacing"):
+        SplineGrid(torch.tensor([[0.1, 0.9]] * 2), spacing=spacing)

@@ -77,6 +77,7 @@ def test_recipe_replaces_whole_groups_and_yields_to_overrides():
     ("name", "message"),
     [
         ("water2d-small+papr", "no recipe 'papr'. Did you mean 'paper'"),
+        ("water2d-small+", "no recipe ''"),
         ("jelly3d+paper", "says nothing about the system 'jelly3d'.*Known: elastic3d, goop2d"),
         ("watr2d+paper", r"no preset 'watr2d\+paper'. Did you mean 'water2d'"),
         ("+paper", r"no preset '\+paper'"),

@@ -93,6 +93,10 @@ def test_the_records_of_the_package_come_back_from_their_values(record):
         (GOOD | {"count": "many"}, r"run\.yaml: .*count"),
         (GOOD | {"inner": {"radius": 1.0, "kind": "c"}}, r"run\.yaml: .*kind"),
         (GOOD | {"inner": {"radius": -1.0}}, r"run\.yaml: .*radius must be >= 0, got -1.0"),
+        (
+            GOOD | {"other": {"radius": -1.0}},
+            r"^run\.yaml\[other\]: Inner.radius must be >= 0, got -1.0.$",
+        ),
         (GOOD | {"inner": None}, r"run\.yaml: Outer.inner must not be null"),
         ([1, 2], r"run\.yaml must be a mapping of names to values, got \[1, 2\]"),
     ],

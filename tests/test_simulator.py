@@ -1,12 +1,13 @@
 """A stored simulator: the same rollouts back, or one clear line."""
 
 import json
+import math
 import shutil
 from dataclasses import replace
 
 import pytest
 import torch
-from safetensors.torch import save_file
+from safetensors.torch import load_file, save_file
 
 from giorom.mpm import draw_scene
 from giorom.simulator import Simulator, SimulatorConfig
@@ -141,6 +142,16 @@ def test_weights_of_another_shape_are_refused(stored):
     assert "does not hold the weights that config.json describes" in refused(stored)
 
 
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_weights_that_are_not_finite_are_refused(stored, value):
+    """The line names the tensor."""
+    tensors = load_file(stored / "model.safetensors")
+    name = min(tensors)
+    tensors[name].fill_(value)
+    save_file(tensors, stored / "model.safetensors")
+    assert f"{name} holds values that are not finite" in refused(stored)
+
+
 @pytest.mark.parametrize(
     ("change", "text"),
     [
@@ -154,6 +165,11 @@ def test_weights_of_another_shape_are_refused(stored):
         (lambda record: record["normalization"].update(velocity_std=[1.0, 0.0, 1.0]), "> 0"),
         (lambda record: record.update(dimension=2), "dimension"),
         (lambda record: record.update(bounds=[[0.0, 1.0]]), "bounds"),
+        (lambda record: record.update(bounds=[[1.0, 0.0]] * 3), "low < high"),
+        (lambda record: record.update(bounds=[[0.0, math.inf]] * 3), "low < high"),
+        (lambda record: record.update(bounds=[[0.0, 1.0, 2.0]] * 3), "low < high"),
+        (lambda record: record.update(frame_dt=0.0), "frame_dt must be > 0 s"),
+        (lambda record: record.update(format_version=True), "format version True"),
     ],
 )
 def test_foreign_configuration_is_refused_in_one_line(stored, change, text):
@@ -162,7 +178,7 @@ def test_foreign_configuration_is_refused_in_one_line(stored, change, text):
     assert text in refused(stored)
 
 
-@pytest.mark.parametrize("content", [b"[1, 2]", b'"text"', b"{", b"\xff\xfe\x00"])
+@pytest.mark.parametrize("content", [b"[1, 2]", b'"text"', b"{", b"[" * 100_000, b"\xff\xfe\x00"])
 def test_configuration_that_is_no_json_object_is_refused(stored, content):
     """Lists and noise, in one line that names the file."""
     (stored / "config.json").write_bytes(content)

@@ -194,6 +194,13 @@ def test_unroll_stages_begin_at_their_share_of_the_budget():
         ({"unroll": [[0.5]]}, "unroll"),
         ({"unroll": [[1.0, 2.0]]}, "unroll"),
         ({"unroll": [[0.0, 0.0]]}, "unroll"),
+        ({"unroll": [[0.0, math.inf]]}, "unroll"),
+        ({"unroll": [[0.0, math.nan]]}, "unroll"),
+        ({"unroll": [[0.0, 2.5]]}, "unroll"),
+        ({"unroll": [[0.5, 3.0], [0.0, 2.0]]}, "unroll"),
+        ({"learning_rate": math.inf}, "learning_rate"),
+        ({"batch_size": 10**6}, "batch_size"),
+        ({"subsets": 10**9}, "subsets"),
     ],
 )
 def test_useless_training_values_are_refused_by_name(values, name):

@@ -12,7 +12,7 @@ from giorom.grid_stepper import GridStepper, GridStepperConfig
 from giorom.pipeline import rollout, start_from_velocity, unconnected
 from giorom.state import WATER, Trajectory
 from giorom.training.checkpoint import CheckpointError
-from giorom.training.loop import train_stepper
+from giorom.training.loop import RunState, train_stepper
 from giorom.training.search import (
     MOST_VALUES,
     Distribution,
@@ -220,3 +220,22 @@ def test_networks_and_models_without_values_are_refused_in_one_line(count):
 def test_a_search_compares_whole_motions_alone():
     with pytest.raises(ValueError, match="'cma' compares whole motions: objective must be"):
         TrainingConfig(optimizer="cma")
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("mean", math.nan), ("covariance", math.nan), ("covariance", -1.0), ("spread", -1.0)],
+)
+def test_a_damaged_distribution_is_refused(name, value):
+    """NaN would search without end; a negative variance is none."""
+    distribution = Distribution([1.0, 2.0], spread=0.3)
+    tensors = distribution.tensors()
+    tensors[name].fill_(value)
+    with pytest.raises(ValueError, match=name):
+        distribution.load(tensors)
+
+
+def test_damaged_counters_of_a_run_are_refused():
+    """Other types are refused too, here by the checks of the tests before."""
+    with pytest.raises(ValueError, match=r"RunState\.step"):
+        RunState(step=-5)

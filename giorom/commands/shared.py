@@ -1,6 +1,7 @@
 """What all commands share: common options, overrides, progress, results."""
 
 import argparse
+import dataclasses
 import os
 import re
 import signal
@@ -23,6 +24,9 @@ from giorom.records import nearest
 MOST_THREADS = 1024
 """Most threads asked of PyTorch; far more than it can start end the process without a word."""
 
+
+GROUPS = frozenset(field.name for field in dataclasses.fields(Experiment))
+"""Groups of an experiment, which an option can replace as a whole."""
 
 MOST_NAME_BYTES = 200
 """Longest name of an output; the file systems take 255, of which temporary names need some."""
@@ -233,14 +237,15 @@ def _refuse_unknown(rest: list[str], parser: argparse.ArgumentParser) -> None:
 
 
 def _split_overrides(arguments: list[str]) -> tuple[list[str], list[tuple[str, str]]]:
-    """Part ``--group.field value`` and ``--group.field=value`` from the other arguments.
+    """Part ``--group.field value``, with ``=`` or of a whole group, from the other arguments.
 
     argparse does not know these options and would take their values for the name of a preset.
     """
     others, changes, words = [], [], iter(arguments)
     for word in words:
         key, equals, value = word.partition("=")
-        if not key.startswith("--") or "." not in key:
+        group = key.removeprefix("--").split(".")[0] in GROUPS
+        if not key.startswith("--") or not ("." in key or group):
             others.append(word)
             continue
         text = value if equals else next(words, None)

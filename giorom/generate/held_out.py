@@ -13,6 +13,7 @@ from typing import Any
 from giorom.config import Experiment
 from giorom.data.trajectory_file import SPLITS, iterate_trajectories
 from giorom.generate.dataset import generate
+from giorom.records import one_line
 from giorom.simulator import SimulatorConfig
 from giorom.state import Trajectory
 
@@ -87,10 +88,17 @@ def require_unseen(directory: Path, seed: int) -> None:
         seed: Seed of the held-out data set.
 
     Raises:
-        ValueError: If both are the same.
+        ValueError: If both are the same, or ``training.json`` is damaged.
     """
     path = directory / "training.json"
-    record = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+    try:
+        record = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+    except (OSError, ValueError, RecursionError) as error:
+        raise ValueError(
+            f"{path} is not readable JSON ({one_line(error)}). Copy it again."
+        ) from None
+    if not isinstance(record, dict):
+        raise ValueError(f"{path} must hold a JSON object, got {str(record)[:80]}. Copy it again.")
     if record.get("data_seed") == seed:
         raise ValueError(
             f"the training data of {directory.name} were made with the seed {seed} too, so that "

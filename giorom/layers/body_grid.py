@@ -6,6 +6,7 @@ nothing here depends on how many samples a simulation follows. Masses and volume
 only ratios matter. Set up in float64, once per body; used in the precision of the state.
 """
 
+import math
 import weakref
 from dataclasses import dataclass
 
@@ -20,6 +21,12 @@ from giorom.state import Body
 
 ROUNDING = 0.25
 """How far a row of nodes may lie below the highest held particle and still hold [rows]."""
+
+MOST_NODES = 4000
+"""Largest number of free nodes: each of their few dense matrices then takes 128 MB."""
+
+MOST_BOX_NODES = 1 << 24
+"""Largest number of nodes in the box around a body, most of which no particle may touch."""
 
 SMALLEST_MASS = 1e-6
 """Mass that is added to every node, over that of the heaviest."""
@@ -121,11 +128,21 @@ class BodyGrid:
 
         Args:
             inertia: The factor beta [m^2].
+
+        Raises:
+            FloatingPointError: If it is too large to be inverted.
         """
         if self._inverse is None or self._inverse[0] != inertia:
             slowed = inertia**2 * self._white_stiffness @ self._white_stiffness
             slowed.diagonal().add_(1.0)
-            white = torch.cholesky_inverse(torch.linalg.cholesky(slowed))
+            factor, failed = torch.linalg.cholesky_ex(slowed)
+            if failed or not math.isfinite(inertia):
+                raise FloatingPointError(
+                    f"the body is too stiff for its steps: waves slowed by {inertia:.3g} m^2 leave "
+                    f"no mass that can be inverted. Lower the stiffness or the viscosity, or raise "
+                    f"BodyStepperConfig.substeps."
+                )
+            white = torch.cholesky_inverse(factor)
             self._inverse = inertia, (self._whitening.T @ white @ self._whitening).float()
         return self._inverse[1]
 
@@ -150,6 +167,13 @@ class BodyGrid:
             anchor[plane[0]] = plane[1]
         first = np.floor((low - anchor) / self.spacing - 0.5) - 1
         last = np.floor((high - anchor) / self.spacing - 0.5) + 3
+        nodes = np.prod(last - first + 1)
+        if not nodes <= MOST_BOX_NODES:
+            raise ValueError(
+                f"a grid of {self.spacing.tolist()} m around a body of {(high - low).tolist()} m "
+                f"would have {nodes:.3g} nodes; at most {MOST_BOX_NODES} are taken. Raise "
+                f"BodyStepperConfig.spacing or height_spacing."
+            )
         self._origin = anchor + first * self.spacing
         self._shape = tuple((last - first + 1).astype(int).tolist())
 
@@ -169,6 +193,12 @@ class BodyGrid:
             )
         order = np.argsort(fixed, kind="stable")
         self._free_count = int((~fixed).sum())
+        if self._free_count > MOST_NODES:
+            raise ValueError(
+                f"a grid of {self.spacing.tolist()} m has {self._free_count} free nodes in this "
+                f"body; at most {MOST_NODES} are taken, whose matrices fit into memory. Raise "
+                f"BodyStepperConfig.spacing or height_spacing."
+            )
         self._number = np.full(np.prod(self._shape), -1)
         self._number[touched[order]] = np.arange(len(touched))
         self.node_position = place[order]

@@ -30,6 +30,10 @@ def spline_weights(place: Array) -> tuple[Array, Array, Array]:
     return 0.5 * (1.5 - place) ** 2, 0.75 - (place - 1.0) ** 2, 0.5 * (place - 0.5) ** 2
 
 
+MOST_NODES = 1 << 24
+"""Largest grid of one scene, 256 nodes along each of three axes; refused before it is laid out."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Stencil:
     """The nodes that some points touch."""
@@ -50,11 +54,16 @@ class SplineGrid:
     Args:
         bounds: Lower and upper wall on each axis [m]; the lower walls lie on nodes.
         spacing: Distance between nodes [m].
+
+    Raises:
+        ValueError: If it would have more than ``MOST_NODES`` nodes, or not one cell.
     """
 
     def __init__(self, bounds: Float[Tensor, "d 2"], *, spacing: float) -> None:
         self.spacing, self.dimension = spacing, len(bounds)
-        cells = torch.ceil((bounds[:, 1] - bounds[:, 0]) / spacing - 1e-3).long()
+        cells = torch.ceil((bounds[:, 1] - bounds[:, 0]) / spacing - 1e-3)
+        _require_size(bounds, cells, spacing=spacing)
+        cells = cells.long()
         self.origin = bounds[:, 0] - MARGIN * spacing
         self.shape = (cells + 1 + 2 * MARGIN).tolist()
         strides = torch.tensor([1, *self.shape[::-1]][:-1], device=bounds.device).cumprod(0)
@@ -120,3 +129,21 @@ class SplineGrid:
         """
         result = value.new_zeros(scenes * self.node_count, value.shape[2])
         return result.index_add(0, stencil.node.flatten(), value.flatten(0, 1))
+
+
+def _require_size(
+    bounds: Float[Tensor, "d 2"], cells: Float[Tensor, " d"], *, spacing: float
+) -> None:
+    """Refuse a grid that no memory holds, and one without a cell."""
+    nodes = math.prod((cells + 1 + 2 * MARGIN).tolist())
+    if not nodes <= MOST_NODES:
+        raise ValueError(
+            f"a grid of {spacing:g} m over the walls {bounds.tolist()} m would have {nodes:.3g} "
+            f"nodes; at most {MOST_NODES} are taken. Raise GridStepperConfig.spacing."
+        )
+    widest = float((bounds[:, 1] - bounds[:, 0]).max())
+    if not spacing <= widest:
+        raise ValueError(
+            f"a grid of {spacing:g} m has not one cell between the walls {bounds.tolist()} m. "
+            f"Lower GridStepperConfig.spacing to at most {widest:g} m."
+        )

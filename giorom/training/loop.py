@@ -61,6 +61,16 @@ class RunState:
     loss: float = math.nan
     history: list[dict[str, Any]] | None = None
 
+    def __post_init__(self) -> None:
+        """Reject counters that a damaged checkpoint brings."""
+        if type(self.step) is not int or self.step < 0:
+            raise ValueError(f"RunState.step must be a whole number >= 0, got {self.step!r}")
+        for name in ("seconds", "next_validation", "best", "loss"):
+            if type(getattr(self, name)) not in (int, float):
+                raise ValueError(f"RunState.{name} must be a number, got {getattr(self, name)!r}")
+        if not isinstance(self.history, list | None):
+            raise ValueError("RunState.history must be a list")
+
 
 @runtime_checkable
 class Trainer(Protocol):

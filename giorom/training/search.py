@@ -96,7 +96,7 @@ class Distribution:
         """The inverse of ``tensors``.
 
         Raises:
-            ValueError: If they belong to another number of values.
+            ValueError: If they belong to another number of values or to no distribution.
         """
         for name, known in self.tensors().items():
             if tensors[name].shape != known.shape:
@@ -104,6 +104,11 @@ class Distribution:
                     f"{name} has the shape {tuple(tensors[name].shape)} instead of "
                     f"{tuple(known.shape)}"
                 )
+            if not bool(tensors[name].isfinite().all()):
+                raise ValueError(f"{name} holds values that are not finite")
+        covariance = tensors["covariance"]
+        if not tensors["spread"] > 0 or int(torch.linalg.cholesky_ex(covariance).info):
+            raise ValueError("spread or covariance are not those of a distribution")
         of, values = self.strategy, {name: tensors[name].tolist() for name in STATE}
         of.xmean, of.sigma = values["mean"], values["spread"]
         of.pc, of.ps = values["covariance_path"], values["spread_path"]

@@ -1,7 +1,14 @@
 """What a training of a time-stepper may use: its values, its budget, its learning rate."""
 
+import math
 from dataclasses import dataclass, field
 from typing import Literal
+
+MOST_WINDOWS = 4096
+"""Largest batch."""
+
+MOST_SUBSETS = 1000
+"""Largest number of samples of each trajectory."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,24 +123,40 @@ class TrainingConfig:
         ]
         natural = "final_learning_rate warmup weight_decay noise_std position_weight".split()
         for name in [*positive, *optional, "validation_frames", "validation_trajectories"]:
-            if not getattr(self, name) > 0:
-                raise ValueError(f"TrainingConfig.{name} must be > 0, got {getattr(self, name)!r}.")
-        for name in natural:
-            if not getattr(self, name) >= 0:
+            if not 0 < getattr(self, name) < math.inf:
                 raise ValueError(
-                    f"TrainingConfig.{name} must be >= 0, got {getattr(self, name)!r}."
+                    f"TrainingConfig.{name} must be > 0 and finite, got {getattr(self, name)!r}."
+                )
+        for name, most in (("batch_size", MOST_WINDOWS), ("subsets", MOST_SUBSETS)):
+            if getattr(self, name) > most:
+                raise ValueError(
+                    f"TrainingConfig.{name} must be <= {most}, got {getattr(self, name)!r}: more "
+                    f"would fill the memory."
+                )
+        for name in natural:
+            if not 0 <= getattr(self, name) < math.inf:
+                raise ValueError(
+                    f"TrainingConfig.{name} must be >= 0 and finite, got {getattr(self, name)!r}."
                 )
         self._check_objective()
         self._check_unroll()
         self._check_shares()
 
     def _check_unroll(self) -> None:
+        begun = -1.0
         for stage in self.unroll or []:
-            if len(stage) != 2 or not 0.0 <= stage[0] < 1.0 or not stage[1] >= 1:
+            whole = len(stage) == 2 and math.isfinite(stage[1]) and stage[1] == int(stage[1])
+            if not whole or not 0.0 <= stage[0] < 1.0 or not stage[1] >= 1:
                 raise ValueError(
-                    f"TrainingConfig.unroll must be pairs [share in [0, 1), frames >= 1], got "
-                    f"{stage!r}."
+                    f"TrainingConfig.unroll must be pairs [share in [0, 1), whole frames >= 1], "
+                    f"got {stage!r}. Null trains on single frames."
                 )
+            if not stage[0] > begun:
+                raise ValueError(
+                    f"the shares of TrainingConfig.unroll must rise, but {stage[0]!r} follows "
+                    f"{begun!r}. Put the stages in the order in which they begin."
+                )
+            begun = stage[0]
 
     def _check_shares(self) -> None:
         if not all(goal > 0 for goal in self.goals):
