@@ -1,11 +1,12 @@
 """Noise floor, long rollouts and other discretisations: at a size that a test can afford."""
 
+import math
 from dataclasses import replace
 
 import pytest
 import torch
 
-from benchmarks.accuracy.discretisation import measure_discretisation, widened
+from benchmarks.accuracy.discretisation import KEPT, _row, measure_discretisation, widened
 from benchmarks.accuracy.noise_floor import measure_noise_floor
 from benchmarks.accuracy.stability import measure_stability
 from giorom.data.trajectory_file import read_trajectory
@@ -66,3 +67,19 @@ def test_a_model_at_its_own_radius_is_the_same_model(simulator, data_folder):
     assert torch.equal(same.dynamics(state, same.connect(state)), expected)
     assert len(other.connect(state).sender) > len(same.connect(state).sender)
     assert replace(other.config, graph=simulator.config.graph) == simulator.config
+
+
+def test_a_score_that_is_not_finite_has_no_mean_and_hides_no_other():
+    """One step of one trajectory overflows: its mean is unknown, the rollout's is not."""
+
+    def result(one_step):
+        scores = {where: dict.fromkeys(keys, 2.0) for where, keys in KEPT.items()}
+        scores["sparse"]["one_step_mse"] = one_step
+        scores["full"]["static_mse"] = 1.0
+        sizes = {"points": 10, "sparse_points": 5, "frames": 3, "radius": 0.1}
+        return scores | sizes | {"diverged_at": None}
+
+    row = _row("0.25 x", [result(1.0), result(math.inf)])
+    assert row["sparse_one_step_mse"] is None
+    assert row["sparse_one_step_mse_std"] is None
+    assert row["full_rollout_mse"] == 2.0

@@ -5,6 +5,7 @@ with the distance between samples, because what connects them would fall apart o
 samples: all stays as trained, so that each sample sees the same neighbourhood, more densely filled.
 """
 
+import math
 import tempfile
 import time
 from collections.abc import Callable, Iterable
@@ -120,7 +121,10 @@ def _scored(
 
 
 def _row(setting: str, results: list[dict[str, Any]]) -> dict[str, Any]:
-    """Means and spreads of a setting; diverged rollouts are counted and left out of them."""
+    """Means and spreads of a setting; diverged rollouts are counted and left out of them.
+
+    A mean over a step that is not finite is none.
+    """
     sound = [result for result in results if result["diverged_at"] is None]
     row: dict[str, Any] = {
         "setting": setting,
@@ -134,8 +138,9 @@ def _row(setting: str, results: list[dict[str, Any]]) -> dict[str, Any]:
     for where, keys in KEPT.items():
         for key in keys:
             values = [result[where][key] for result in sound]
-            row[f"{where}_{key}"] = fmean(values) if values else None
-            row[f"{where}_{key}_std"] = stdev(values) if len(values) > 1 else None
+            known = all(math.isfinite(value) for value in values)
+            row[f"{where}_{key}"] = fmean(values) if values and known else None
+            row[f"{where}_{key}_std"] = stdev(values) if len(values) > 1 and known else None
     static = [result["full"]["static_mse"] for result in results]
     return row | {"full_static_mse": fmean(static)}
 
