@@ -66,12 +66,26 @@ class SplineGrid:
         cells = cells.long()
         self.origin = bounds[:, 0] - MARGIN * spacing
         self.shape = (cells + 1 + 2 * MARGIN).tolist()
-        strides = torch.tensor([1, *self.shape[::-1]][:-1], device=bounds.device).cumprod(0)
-        self.stride = strides.flip(0)
-        self.corner = torch.cartesian_prod(
-            *[torch.arange(3, device=bounds.device)] * self.dimension
-        )
-        self.last_base = bounds.new_tensor(self.shape) - 3
+
+    # A grid is made for every frame, and the kernels need none of what follows: it is computed
+    # when it is first asked for.
+
+    @cached_property
+    def stride(self) -> Int[Tensor, " d"]:
+        """How far the running numbers of two neighbours on each axis are apart."""
+        strides = torch.tensor([1, *self.shape[::-1]][:-1], device=self.origin.device).cumprod(0)
+        return strides.flip(0)
+
+    @cached_property
+    def corner(self) -> Int[Tensor, "k d"]:
+        """Offsets 0 to 2 on each axis of the nodes that a point touches."""
+        row = torch.arange(3, device=self.origin.device)
+        return torch.cartesian_prod(*[row] * self.dimension)
+
+    @cached_property
+    def last_base(self) -> Float[Tensor, " d"]:
+        """Last node on each axis that can be the first of three."""
+        return self.origin.new_tensor(self.shape) - 3
 
     @property
     def node_count(self) -> int:

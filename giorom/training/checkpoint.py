@@ -16,12 +16,26 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor
 
 from giorom.data.atomic import replacing_folder
+from giorom.records import one_line
 
 CHECKPOINT_PREFIX = "step-"
 
 
 class CheckpointError(ValueError):
     """A checkpoint cannot be used; the message says why."""
+
+
+def unfit_checkpoint(folder: Path, error: Exception) -> CheckpointError:
+    """The error of a run whose checkpoint is damaged or of another model.
+
+    Args:
+        folder: Directory of the run.
+        error: What loading it raised.
+    """
+    return CheckpointError(
+        f"the checkpoint in {folder} does not fit this training ({one_line(error)[:200]}). Train "
+        f"into another folder."
+    )
 
 
 def save_checkpoint(

@@ -25,13 +25,12 @@ from giorom.data.windows import (
     turn,
 )
 from giorom.pipeline import Connect
-from giorom.records import one_line
 from giorom.training.checkpoint import (
-    CheckpointError,
     load_checkpoint,
     load_optimizer_tensors,
     optimizer_tensors,
     save_checkpoint,
+    unfit_checkpoint,
 )
 from giorom.training.loss import motion_loss, push_forward, unrolled_loss
 from giorom.training.noise import add_random_walk
@@ -155,10 +154,7 @@ class StepperTraining:
             torch.set_rng_state(tensors["random"])
             self.run = RunState(**record["run"])
         except (KeyError, RuntimeError, TypeError, ValueError) as error:
-            raise CheckpointError(
-                f"the checkpoint in {self.folder} does not fit this training "
-                f"({one_line(error)[:200]}). Train into another folder."
-            ) from None
+            raise unfit_checkpoint(self.folder, error) from None
 
     def save(self) -> None:
         """Write a checkpoint."""

@@ -21,9 +21,8 @@ from torch import Tensor, nn
 
 from giorom.data.windows import WindowBatch, Windows, concatenate_windows, step_generator, turn
 from giorom.pipeline import Connect, Step
-from giorom.records import one_line
 from giorom.state import SparseState
-from giorom.training.checkpoint import CheckpointError, load_checkpoint, save_checkpoint
+from giorom.training.checkpoint import load_checkpoint, save_checkpoint, unfit_checkpoint
 from giorom.training.loop import RunState
 from giorom.training.loss import motion_loss
 from giorom.training.training_config import TrainingConfig
@@ -166,10 +165,7 @@ class StepperSearch:
             self.distribution.load({name: tensors[f"search.{name}"] for name in STATE})
             self.run = RunState(**record["run"])
         except (KeyError, TypeError, ValueError) as error:
-            raise CheckpointError(
-                f"the checkpoint in {self.folder} does not fit this training "
-                f"({one_line(error)[:200]}). Train into another folder."
-            ) from None
+            raise unfit_checkpoint(self.folder, error) from None
 
     def save(self) -> None:
         """Write a checkpoint."""
