@@ -64,6 +64,11 @@ class Dynamics(nn.Module):
         """Acceleration of every sample [m/s^2]."""
         return self.normalization.physical_acceleration(self.normalized(state, edges))
 
+    def start(self, state: SparseState, velocity: Float[Tensor, "q d"]) -> SparseState:
+        """The state of undeformed samples with a known velocity [m/s]: its history says it all."""
+        del velocity
+        return state
+
     def step(
         self,
         state: SparseState,

@@ -114,9 +114,7 @@ class Simulator(nn.Module):
             weight=represented_particles(position, samples),
             body=Body(position=position, particle_type=particle_type),
         )
-        if isinstance(self.dynamics, GridStepper | BodyStepper):
-            return self.dynamics.start(state, velocity[samples])
-        return state
+        return self.dynamics.start(state, velocity[samples])
 
     def decoder(
         self,

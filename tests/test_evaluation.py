@@ -81,6 +81,10 @@ class Oracle(nn.Module):
             frame_dt=state.frame_dt,
         )
 
+    def start(self, state, velocity):
+        """The state as it is: the frames say where it stands."""
+        return state
+
     def step(self, state, edges, prescribed=None):
         """The next true frame, by way of the acceleration."""
         return integrated(self)(state, edges, prescribed)
