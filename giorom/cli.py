@@ -37,6 +37,10 @@ EXTRAS = {
     "matplotlib": "render",
     "imageio_ffmpeg": "render",
     "pxr": "usd",
+    "neuralop": "baselines",
+    "torch_geometric": "baselines",
+    "torchdiffeq": "baselines",
+    "ot": "baselines",
 }
 """Which extra of the package brings a module that is missing."""
 

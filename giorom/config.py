@@ -2,8 +2,10 @@
 
 A preset is such a file inside the package. A recipe is one that replaces some groups of another
 by its own: ``water2d-small+paper`` is the preset ``water2d-small`` with the graph, the features,
-the network and the training of the paper. Values that follow from others (widths of the features,
-bounds of the latent grid, the graph radius) are not written down but derived.
+the network and the training of the paper. Recipes follow each other, and later ones win:
+``water2d-small+equal+gns`` is the network of GNS in the training that all networks share. Values
+that follow from others (widths of the features, bounds of the latent grid, the graph radius) are
+not written down but derived.
 """
 
 from dataclasses import dataclass
@@ -13,6 +15,7 @@ from typing import Any, Literal
 
 import yaml
 
+from giorom.baselines import BaselineChoice, BaselineConfig
 from giorom.body_stepper import BodyStepperConfig
 from giorom.features import FeatureConfig
 from giorom.fields import FieldConfig
@@ -111,6 +114,9 @@ class Experiment:
     body_stepper: BodyStepperConfig | None = None
     """The grid fixed to the undeformed body that does, for soft bodies; null: the others do."""
 
+    baseline: BaselineChoice | None = None
+    """Another method's network in the place of ``time_stepper``; null: the latter."""
+
     field: FieldConfig = default(default_factory=FieldConfig)
     """What recovers all particles."""
 
@@ -122,10 +128,13 @@ class Experiment:
 
     def __post_init__(self) -> None:
         """Reject what cannot be built or trained, before any data are read for it."""
-        if self.grid_stepper is not None and self.body_stepper is not None:
+        steppers = ("grid_stepper", "body_stepper", "baseline")
+        given = [name for name in steppers if getattr(self, name) is not None]
+        if len(given) > 1:
+            hint = "" if self.baseline is None else "; the recipe 'equal' does so for a baseline"
             raise ValueError(
-                "an experiment has one time-stepper, but both grid_stepper and body_stepper are "
-                "given. Set one of them to null."
+                f"an experiment has one time-stepper, but both {' and '.join(given)} are given. "
+                f"Set one of them to null{hint}."
             )
         if not self.uses_network and self.training.objective != "motion":
             raise ValueError(
@@ -139,16 +148,27 @@ class Experiment:
                 "direction: turned scenes teach it nothing. Set training.turn to false."
             )
         if self.uses_network:
-            self.time_stepper.build(
-                dimension=self.scene.dimension,
-                features=self.features,
-                latent_bounds=[[0.0, 1.0]] * self.scene.dimension,
-            )
+            self.network([[0.0, 1.0]] * self.scene.dimension)
 
     @property
     def uses_network(self) -> bool:
-        """Whether a network moves the samples, and no grid does."""
+        """Whether a network moves the samples, ours or a baseline, and no grid does."""
         return self.grid_stepper is None and self.body_stepper is None
+
+    def network(self, bounds: list[list[float]]) -> dict[str, TimeStepperConfig | BaselineConfig]:
+        """The full configuration of the network under its name in ``SimulatorConfig``, if any.
+
+        Args:
+            bounds: Padded bounds of the training data [m].
+        """
+        if not self.uses_network:
+            return {}
+        dimension, features = self.scene.dimension, self.features
+        if self.baseline is not None:
+            built = self.baseline.build(dimension=dimension, features=features, bounds=bounds)
+            return {"baseline": built}
+        ours = self.time_stepper.build(dimension=dimension, features=features, latent_bounds=bounds)
+        return {"time_stepper": ours}
 
 
 def preset_names() -> list[str]:
@@ -165,20 +185,21 @@ def load_experiment(name: str, overrides: dict[str, Any] | None = None) -> Exper
     """Read a preset or a YAML file, with some values changed.
 
     Args:
-        name: Name of a preset, or path of a YAML file; behind a plus, the name of a recipe.
-        overrides: Nested values that replace those of the file and of the recipe.
+        name: Name of a preset, or path of a YAML file; each behind a plus, names of recipes, of
+            which later ones win.
+        overrides: Nested values that replace those of the file and of the recipes.
 
     Raises:
         ValueError: If there is no such preset, file or recipe, or a value is refused; one line.
     """
-    path, recipe = _preset_path(name), None
-    if not path.is_file() and "+" in name:
-        preset, _, recipe = name.rpartition("+")
-        path = _preset_path(preset)
+    preset, recipes = name, []
+    while not (path := _preset_path(preset)).is_file() and "+" in preset:
+        preset, _, recipe = preset.rpartition("+")
+        recipes.insert(0, recipe)
     if not path.is_file():
         raise ValueError(f"there is no preset {name!r}. {nearest(name, preset_names())}")
     values = _read_values(path)
-    if recipe is not None:
+    for recipe in recipes:
         values |= _read_values(_recipe_path(recipe, values.get("system")))
     return parse_record(Experiment, merged(values, overrides or {}), where=name)
 
@@ -190,10 +211,12 @@ def _preset_path(name: str) -> Path:
 
 
 def _recipe_path(recipe: str, system: Any) -> Path:
-    """File of a recipe for a system."""
+    """File of a recipe for a system: its own, or the one for any."""
     if recipe not in recipe_names():
         raise ValueError(f"there is no recipe {recipe!r}. {nearest(recipe, recipe_names())}")
     known = sorted(path.stem for path in (PRESETS / recipe).glob("*.yaml"))
+    if system not in known and "any" in known:
+        return PRESETS / recipe / "any.yaml"
     if system not in known:
         raise ValueError(
             f"the recipe {recipe!r} says nothing about the system {system!r}. "

@@ -64,13 +64,6 @@ class _Run:
 def build_simulator(experiment: Experiment, data: TrainingData) -> Simulator:
     """An untrained simulator for a data set."""
     dimension = int(data.metadata["dim"])
-    network = None
-    if experiment.uses_network:
-        network = experiment.time_stepper.build(
-            dimension=dimension,
-            features=experiment.features,
-            latent_bounds=data.latent_bounds,
-        )
     simulator = Simulator(
         SimulatorConfig(
             system=experiment.system,
@@ -81,15 +74,15 @@ def build_simulator(experiment: Experiment, data: TrainingData) -> Simulator:
             graph=replace(experiment.graph, radius=data.choice.radius),
             features=experiment.features,
             normalization=fit_normalization(experiment, data.metadata),
-            time_stepper=network,
             grid_stepper=experiment.grid_stepper,
             body_stepper=experiment.body_stepper,
+            **experiment.network(data.latent_bounds),
             field=experiment.field,
             scene=experiment.scene,
             solver=experiment.solver,
         )
     )
-    if network is None and not all_held(data.windows.trajectories):
+    if not experiment.uses_network and not all_held(data.windows.trajectories):
         simulator.dynamics.gravity.copy_(first_acceleration(data.windows.trajectories))
     return simulator
 

@@ -16,6 +16,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 
+from giorom.baselines import build_baseline
 from giorom.body_stepper import BodyStepper
 from giorom.fields import FieldDecoder, build_field
 from giorom.grid_stepper import GridStepper
@@ -70,8 +71,8 @@ class Simulator(nn.Module):
 
     @property
     def connect(self) -> Connect:
-        """Stage 3 with this simulator's radius; a grid needs no edges."""
-        if self.config.time_stepper is None:
+        """Stage 3 with this simulator's radius, where what moves the samples reads edges."""
+        if not self.config.reads_edges:
             return unconnected
         graph = self.config.graph
         return connect_within(graph.radius, configuration=graph.configuration, kind=graph.kind)
@@ -263,8 +264,9 @@ def _stepper(config: SimulatorConfig) -> Dynamics | GridStepper | BodyStepper:
         return BodyStepper(config.body_stepper, dimension=config.dimension)
     if config.grid_stepper is not None:
         return GridStepper(config.grid_stepper, dimension=config.dimension)
+    network = config.baseline
     return Dynamics(
-        TimeStepper(config.time_stepper),
+        TimeStepper(config.time_stepper) if network is None else build_baseline(network),
         features=config.features,
         normalization=config.normalization,
         radius=config.graph.radius,

@@ -6,6 +6,7 @@ One record of the parts, each beside the code it steers, and the rule that they 
 import math
 from dataclasses import dataclass
 
+from giorom.baselines import BaselineConfig, NetworkShape, reads_edges
 from giorom.body_stepper import BodyStepperConfig
 from giorom.features import FeatureConfig
 from giorom.fields import FieldConfig
@@ -64,6 +65,9 @@ class SimulatorConfig:
     body_stepper: BodyStepperConfig | None = None
     """Stages 4 and 5 by a grid fixed to the undeformed body; or none."""
 
+    baseline: BaselineConfig | None = None
+    """Stages 4 and 5 by another method's network in the place of ``time_stepper``; or none."""
+
     def __post_init__(self) -> None:
         """Reject parts that do not fit together."""
         if not 0.0 < self.frame_dt < math.inf:
@@ -87,19 +91,28 @@ class SimulatorConfig:
                     f"SimulatorConfig.dimension is {self.dimension}, but {name} is made for "
                     f"{dimension}. All parts need the same one."
                 )
-        steppers = (self.time_stepper, self.grid_stepper, self.body_stepper)
-        if sum(stepper is not None for stepper in steppers) != 1:
+        names = ("time_stepper", "grid_stepper", "body_stepper", "baseline")
+        if sum(getattr(self, name) is not None for name in names) != 1:
             raise ValueError(
-                "SimulatorConfig needs exactly one of time_stepper, grid_stepper and body_stepper: "
-                "one of them moves the samples."
+                "SimulatorConfig needs exactly one of time_stepper, grid_stepper, body_stepper and "
+                "baseline: one of them moves the samples."
             )
         if self.time_stepper is not None:
-            self._check_network(self.time_stepper)
+            self._check_network(self.time_stepper, "time_stepper")
+        if self.baseline is not None:
+            self._check_network(self.baseline.shape, "baseline.shape")
 
-    def _check_network(self, network: TimeStepperConfig) -> None:
+    @property
+    def reads_edges(self) -> bool:
+        """Whether what moves the samples looks at their graph; a grid does not."""
+        if self.baseline is not None:
+            return reads_edges(self.baseline)
+        return self.time_stepper is not None
+
+    def _check_network(self, network: TimeStepperConfig | NetworkShape, name: str) -> None:
         if network.dimension != self.dimension:
             raise ValueError(
-                f"SimulatorConfig.dimension is {self.dimension}, but time_stepper.dimension is "
+                f"SimulatorConfig.dimension is {self.dimension}, but {name}.dimension is "
                 f"made for {network.dimension}. All parts need the same one."
             )
         widths = (network.node_width, network.edge_width)
@@ -108,5 +121,5 @@ class SimulatorConfig:
         if widths != wanted:
             raise ValueError(
                 f"the features have {wanted} channels per node and edge, but "
-                f"SimulatorConfig.time_stepper takes {widths}. Both come from the same training."
+                f"SimulatorConfig.{name} takes {widths}. Both come from the same training."
             )

@@ -5,6 +5,9 @@ nothing in the loss says so: message passing learns alone.
 """
 
 import math
+from typing import Protocol, runtime_checkable
+
+from torch import Tensor
 
 from giorom.data.windows import Windows, step_generator, turn
 from giorom.time_stepper import TimeStepper
@@ -14,7 +17,15 @@ COVERAGE_WINDOWS = 64
 """Windows on which the coverage is measured."""
 
 
-def check_coverage(time_stepper: TimeStepper, windows: Windows, config: TrainingConfig) -> float:
+@runtime_checkable
+class Network(Protocol):
+    """What the coverage of a network, ours or a baseline, is measured with."""
+
+    def coverage(self, position: Tensor) -> Tensor:
+        """Share of the particles that its grid reaches; one without a grid."""
+
+
+def check_coverage(time_stepper: Network, windows: Windows, config: TrainingConfig) -> float:
     """Refuse to train a network whose latent branch too many samples never see.
 
     Args:
@@ -31,19 +42,28 @@ def check_coverage(time_stepper: TimeStepper, windows: Windows, config: Training
     share = measure_coverage(time_stepper, windows, turned=config.turn)
     if share >= config.least_coverage:
         return share
-    grid = time_stepper.latent.grid
     raise ValueError(
         f"the latent grid reaches {100.0 * share:.1f} % of the samples of the training windows, "
         f"less than training.least_coverage={config.least_coverage:g}: the others would learn "
-        f"without it. Its nodes reach {grid.reach:g} m and need {grid.covering_radius:g} m to "
-        f"leave no gap. In time_stepper.overrides, set latent_radius to null, so that it follows "
-        f"from the grid, and latent_bounds to the bounds of the data, as the default network has "
-        f"them, or raise latent_side; latent: false trains without a grid, and "
+        f"without it. {_remedy(time_stepper)}, and "
         f"training.least_coverage: {math.floor(100.0 * share) / 100.0:g} accepts this one."
     )
 
 
-def measure_coverage(time_stepper: TimeStepper, windows: Windows, *, turned: bool) -> float:
+def _remedy(time_stepper: Network) -> str:
+    """How a network gets a grid that reaches further."""
+    if not isinstance(time_stepper, TimeStepper):
+        return "In baseline.overrides, give its grid a longer reach or more nodes"
+    grid = time_stepper.latent.grid
+    return (
+        f"Its nodes reach {grid.reach:g} m and need {grid.covering_radius:g} m to "
+        f"leave no gap. In time_stepper.overrides, set latent_radius to null, so that it follows "
+        f"from the grid, and latent_bounds to the bounds of the data, as the default network has "
+        f"them, or raise latent_side; latent: false trains without a grid"
+    )
+
+
+def measure_coverage(time_stepper: Network, windows: Windows, *, turned: bool) -> float:
     """Share of the samples of some training windows that have a grid node within reach."""
     shares = []
     for number in range(0, len(windows), max(1, len(windows) // COVERAGE_WINDOWS)):
