@@ -66,8 +66,10 @@ def metrics():
         "paper_preset": {
             "trajectories": 10,
             "diverged": 0,
+            "sparse": {"rollout_mse": 3e-5},
             "full": {"rollout_mse": 2e-5},
             "training_seconds": 105.0,
+            "training_steps": 7,
         },
         "bytes": 1000,
     }
@@ -135,6 +137,14 @@ def test_each_failing_number_fails_its_own_requirement(metrics):
         failing = unmet(changed)
         assert any(said in name for name in failing), path
     assert unmet(metrics, size=5_000_001) == ["bytes of the weights"]
+
+
+def test_a_peer_may_train_longer_but_not_shorter(metrics):
+    """Twice the time is to the peer's favour; 89 of 100 seconds are not equal."""
+    metrics["paper_preset"]["training_seconds"] = 200.0
+    assert unmet(metrics) == []
+    metrics["paper_preset"]["training_seconds"] = 89.0
+    assert any("paper-faithful" in name for name in unmet(metrics))
 
 
 def test_what_flows_is_compared_at_200_frames_with_the_oracle_too(metrics):

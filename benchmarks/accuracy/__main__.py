@@ -144,13 +144,14 @@ def _add_paper_run(name: str, run: str, training: str, options: argparse.Namespa
             f"Train the paper's recipe on the model's own preset."
         )
     scores = _evaluate(Path(run), options)
-    seconds = json.loads(Path(training).read_text(encoding="utf-8"))["seconds"]
+    record = json.loads(Path(training).read_text(encoding="utf-8"))
+    cost = {f"training_{key}": record.get(key) for key in ("seconds", "steps")}
     kept = {key: scores[key] for key in ("trajectories", "diverged", "frames")}
     for where in ("sparse", "full"):
         keys = ("one_step_mse", "rollout_mse", "rollout_mse_std")
         found = scores[where] or {}
         kept[where] = {key: found.get(key) for key in keys} if found else None
-    _add(options.pretrained / name, "paper_preset", kept | {"training_seconds": seconds})
+    _add(options.pretrained / name, "paper_preset", kept | cost)
 
 
 def _add(directory: Path, key: str, value: Any) -> None:

@@ -12,6 +12,7 @@ from benchmarks.accuracy.requirements import Verdict, verdicts
 from benchmarks.accuracy.sections import (
     Models,
     against_paper,
+    against_paper_preset,
     against_trivial,
     discretisation,
     distributions,
@@ -90,6 +91,7 @@ def page(
         HEAD.format(trajectories=counts, machines=_machines(models)),
         _required(judged, models),
         against_paper(models),
+        against_paper_preset(models),
         against_trivial(models),
         distributions(models),
         swings(models),

@@ -34,7 +34,7 @@ MOST_BYTES = 5_000_000
 """Largest size of the weights of one model."""
 
 EQUAL_TIME = 0.1
-"""Largest relative difference of two training times that count as equal."""
+"""Share of a model's training time that a peer may have had less; more is to the peer's favour."""
 
 SOLID_FRAMES, FLOW_FRAMES = "100", "200"
 """Frames over which solids and flows are compared with what needs no model."""
@@ -240,7 +240,7 @@ def _against_paper_preset(metrics: dict[str, Any]) -> Verdict:
         if other["diverged"] == other["trajectories"]:
             theirs = math.inf
         value = None if ours is None or not theirs else ours / theirs
-        if None in times or abs(times[0] - times[1]) > EQUAL_TIME * max(times):
+        if None in times or times[1] < (1.0 - EQUAL_TIME) * times[0]:
             unsound = f"training took {times[0]} s and {times[1]} s"
     return Verdict(
         requirement="rollout MSE over that of the paper-faithful preset, equal training time",

@@ -79,6 +79,41 @@ def _cost(training: dict[str, Any]) -> str:
     return f"{minutes:.1f} min, {training.get('steps', '?')} steps, {device}{threads}"
 
 
+def against_paper_preset(models: Models) -> str:
+    """Errors beside those of the paper's own network and training, on the same scenes."""
+    rows = []
+    for name, metrics in models.items():
+        peer = metrics.get("paper_preset")
+        if peer is None:
+            continue
+        seconds, steps = peer["training_seconds"], peer.get("training_steps")
+        rows.append([name, "ours", *_as_long(metrics, metrics["training"])])
+        rows.append([name, "paper", *_as_long(peer, {"seconds": seconds, "steps": steps})])
+    text = (
+        "## Beside the paper's own network and training\n\nThe recipe `NAME+paper` for as long on "
+        "one core of the same machine, scored on the same scenes; diverged rollouts are left out "
+        "of its means, which flatters it. It is made for 5e6 steps and gets some tens here: an "
+        "equal time, and no judgement of what it learns in days.\n\n"
+    )
+    header = ["model", "recipe", "training", "diverged", "one step, samples"]
+    return text + table([*header, "rollout, samples", "rollout, all"], rows) if rows else ""
+
+
+def _as_long(found: dict[str, Any], training: dict[str, Any]) -> list[str]:
+    """Training, divergence and errors of one side of an equal training time."""
+    sparse, full = found["sparse"] or {}, found["full"] or {}
+    seconds, steps = training.get("seconds"), training.get("steps")
+    return [
+        f"{number(seconds)} s, {steps or '?'} steps",
+        f"{found['diverged']} of {found['trajectories']}",
+        number(sparse.get("one_step_mse")),
+        *(
+            number(score.get("rollout_mse"), spread=score.get("rollout_mse_std"))
+            for score in (sparse, full)
+        ),
+    ]
+
+
 def against_trivial(models: Models) -> str:
     """Errors until some frames beside predictions without a model."""
     rows = []
