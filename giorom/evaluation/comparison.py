@@ -13,6 +13,15 @@ from giorom.evaluation.distribution import (
     density_difference,
     sliced_wasserstein,
 )
+from giorom.evaluation.mechanics import (
+    density_error,
+    kinetic_energy_error,
+    kinetic_energy_mse,
+    momentum_error,
+    number_density,
+    smallest_distance,
+    volume_ratio,
+)
 from giorom.evaluation.metrics import (
     amplitude_ratio,
     bounding_box_error,
@@ -22,6 +31,12 @@ from giorom.evaluation.metrics import (
     squared_error_per_frame,
 )
 from giorom.evaluation.swing import compare_swings
+from giorom.evaluation.transport import (
+    earth_mover_distance,
+    has_sinkhorn,
+    sinkhorn_divergence,
+    typical_spacing,
+)
 from giorom.evaluation.trivial import constant_velocity, free_fall, frozen_shape, hold_still
 from giorom.state import SparseState, Trajectory
 
@@ -30,6 +45,9 @@ REPORT_FRAMES = (50, 100, 200, 400)
 
 DISTRIBUTION_STRIDE = 25
 """Every how many frames the distances between clouds are measured; the last frame always is."""
+
+MOST_TRANSPORTED = 1000
+"""Most points between which transport is measured; half a second a frame, growing with a cube."""
 
 DISTRIBUTION_BASELINES = ("static", "free_fall", "frozen_shape")
 """Trivial predictions whose distances between clouds are measured too."""
@@ -53,6 +71,9 @@ class Comparison:
 
     bounds: Float[Tensor, "d 2"] | None = None
     """Walls of the domain [m]; with them, distances between the clouds are measured."""
+
+    frame_dt: float | None = None
+    """Time between frames [s]; with it, energy and momentum are compared."""
 
     swings: bool = False
     """Whether the body is held somewhere, so that it swings about its place."""
@@ -84,7 +105,10 @@ class Comparison:
             trivial_error = squared_error_per_frame(positions, self.truth)
             result[f"{name}_mse"] = float(trivial_error.sum()) / (frames + given)
             result[f"{name}_mse_at"] = self._means_until(trivial_error)
-        return result | self._distribution() | self._swing(predicted, truth)
+        parts = (self._distribution(), self._packing(), self._mechanics())
+        for part in parts:
+            result |= part
+        return result | self._swing(predicted, truth)
 
     def _means_until(self, error: Float[Tensor, " t"]) -> dict[str, float]:
         """Mean error so far at the frames of the report."""
@@ -99,9 +123,7 @@ class Comparison:
         """Distances between the clouds: means over some frames, and those of the last frame."""
         if self.bounds is None:
             return {}
-        last = len(self.truth) - 1
-        chosen = sorted({*range(DISTRIBUTION_STRIDE - 1, last, DISTRIBUTION_STRIDE), last})
-        bounds = self.bounds
+        chosen, bounds = self._chosen_frames(), self.bounds
         measures: dict[str, Callable[[Tensor, Tensor], float]] = {
             "chamfer": chamfer_distance,
             "density_difference": lambda a, b: density_difference(a, b, bounds=bounds),
@@ -120,6 +142,52 @@ class Comparison:
                 result[f"{prefix}final_{name}"] = values[-1]
         return result
 
+    def _chosen_frames(self) -> list[int]:
+        """Frames at which clouds are compared."""
+        last = len(self.truth) - 1
+        return sorted({*range(DISTRIBUTION_STRIDE - 1, last, DISTRIBUTION_STRIDE), last})
+
+    def _packing(self) -> dict[str, Any]:
+        """Transport between the clouds, their densities and their smallest distances.
+
+        Means over the frames at which clouds are compared. None is what was not measured:
+        transport between many points, the divergence without its library.
+        """
+        if self.bounds is None or self.truth.shape[1] < 2:
+            return {}
+        spacing = typical_spacing(self.given[-1])
+        measured: dict[str, list[float]] = {}
+        for frame in self._chosen_frames():
+            values = _packing_at(self.predicted[frame], self.truth[frame], spacing=spacing)
+            for name, value in values.items():
+                measured.setdefault(name, []).append(value)
+        names = (
+            "earth_mover_distance",
+            "sinkhorn_divergence",
+            "density_error",
+            "volume_error",
+            "smallest_distance",
+            "true_smallest_distance",
+        )
+        result: dict[str, Any] = {}
+        for name in names:
+            values = measured.get(name)
+            result[name] = None if values is None else sum(values) / len(values)
+            result[f"final_{name}"] = None if values is None else values[-1]
+        return result
+
+    def _mechanics(self) -> dict[str, Any]:
+        """Errors of kinetic energy and momentum; none where the time between frames is unknown."""
+        if self.frame_dt is None:
+            return {}
+        start, options = self.given[-1:], {"frame_dt": self.frame_dt}
+        predicted, truth = (torch.cat([start, m]) for m in (self.predicted, self.truth))
+        return {
+            "kinetic_energy_mse": kinetic_energy_mse(predicted, truth, **options),
+            "kinetic_energy_error": kinetic_energy_error(predicted, truth, **options),
+            "momentum_error": momentum_error(predicted, truth, **options),
+        }
+
     def _swing(self, predicted: Tensor, truth: Tensor) -> dict[str, Any]:
         """Period and amplitude of a swinging body; none where less than a period is seen."""
         if not self.swings:
@@ -136,6 +204,29 @@ class Comparison:
             "swing_period_deviation": deviations[0],
             "swing_amplitude_deviation": deviations[1],
         }
+
+
+def _packing_at(predicted: Tensor, truth: Tensor, *, spacing: float) -> dict[str, float]:
+    """Transport, density and smallest distance of two clouds of the same points.
+
+    Args:
+        predicted: One cloud [m].
+        truth: The other [m].
+        spacing: Distance between neighbours at the start [m]; zero where points coincide.
+    """
+    result = {
+        "smallest_distance": smallest_distance(predicted),
+        "true_smallest_distance": smallest_distance(truth),
+    }
+    if len(truth) <= MOST_TRANSPORTED:
+        result["earth_mover_distance"] = earth_mover_distance(predicted, truth)
+    if spacing > 0.0:
+        one, two = (number_density(cloud, spacing=spacing) for cloud in (predicted, truth))
+        result["density_error"] = density_error(one, two)
+        result["volume_error"] = abs(volume_ratio(one, two) - 1.0)
+        if len(truth) <= MOST_TRANSPORTED and has_sinkhorn():
+            result["sinkhorn_divergence"] = sinkhorn_divergence(predicted, truth, spacing=spacing)
+    return result
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -76,6 +76,8 @@ def evaluate_trajectory(
     sparse_scores["one_step_mse"], full_scores["one_step_mse"] = one_step_errors(
         simulator, trajectory, samples, frames=frames
     )
+    for scores in (sparse_scores, full_scores):
+        scores["one_step_mse_axis_mean"] = scores["one_step_mse"] / truth.shape[2]
     return {
         "points": trajectory.position.shape[1],
         "sparse_points": len(samples),
@@ -213,6 +215,7 @@ def _scores(
         predicted=predicted,
         trivial=trivial,
         bounds=trajectory.bounds,
+        frame_dt=trajectory.frame_dt,
         swings=bool(trajectory.kinematic.any()),
     ).scores()
 

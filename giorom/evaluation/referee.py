@@ -160,6 +160,7 @@ def _compare(
             gravity=gravity,
             body=surroundings_of(truth).body,
         ),
+        frame_dt=truth.frame_dt,
         swings=bool(scene.kinematic.any()),
     ).scores()
     decode = simulator.decoder(scene.position, scene.kinematic, samples=samples)
