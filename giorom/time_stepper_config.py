@@ -1,7 +1,7 @@
 """Size and variant of the network: what the paper and its ablations switch on and off."""
 
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from giorom.state import PARTICLE_TYPE_COUNT
 
@@ -46,10 +46,13 @@ class TimeStepperConfig:
     latent: bool = True
     """Use the latent grid; without it the network is message passing alone."""
 
-    processor: Literal["transformer", "fourier", "fourier_plane", "none"] = "transformer"
+    processor: Literal[
+        "transformer", "fourier", "fourier_plane", "transolver", "convolution", "none"
+    ] = "transformer"
     """What works on the grid: the operator transformer (NOT), a Fourier operator (FNO) in as many
     dimensions as the body or, for 3-D bodies, on a plane they are mapped to (the paper's first
-    version), or a linear map of each node alone."""
+    version), a transformer of slices (Transolver), convolutions, or a linear map of each node
+    alone."""
 
     latent_skip: bool = True
     """Add what the grid says to the node features (official 3-D code), or let it replace them
@@ -63,6 +66,11 @@ class TimeStepperConfig:
     """First and last grid node on each axis [m]; should contain every particle. A plane of nodes
     lies on [-1, 1]; what is mapped to it are places in units of these bounds."""
 
+    latent_padding: float = 0.0
+    """How far the grid goes beyond ``latent_bounds`` on each side, as a share of their width. A
+    Fourier operator takes the grid for periodic: without some room opposite walls are neighbours.
+    """
+
     latent_side: int = 16
     """Grid nodes along each axis."""
 
@@ -72,6 +80,12 @@ class TimeStepperConfig:
 
     occupied_tokens: bool = True
     """Process only the grid nodes some particle reaches; all of them otherwise (paper)."""
+
+    gno_layers: Literal[1, 2] = 1
+    """Kernel integrals on each way. The one that is always there leads from the particles to the
+    grid, or back. A second stands beside it on the side of the particles and integrates over those
+    joined by an edge of the interaction graph, so that kernel integrals do what message passing
+    does in an interaction operator (our reading of "2GNO", which the paper does not explain)."""
 
     gno_kernel: Literal["relative", "official"] = "relative"
     """What the kernels see: offset and query place, or the source place alone."""
@@ -121,6 +135,16 @@ class TimeStepperConfig:
 
     fourier_hidden: int = 32
     """Hidden channels where the Fourier operator lifts and projects."""
+
+    slices: int = 64
+    """Slices of each head of a transformer of slices, which has the width, the layers and the
+    heads of the operator transformer."""
+
+    convolution_width: int = 64
+    """Channels inside the convolutions."""
+
+    convolution_layers: int = 6
+    """Convolutional layers; they see one, two and four nodes far in turn."""
 
     input_skip: Literal["none", "linear", "gated"] = "none"
     """Add accelerations from each particle's own features: a linear map, or one that the rest
@@ -213,7 +237,8 @@ class TimeStepperConfig:
         choices = {
             "dimension": (2, 3),
             "node_skip": ("none", "linear"),
-            "processor": ("transformer", "fourier", "fourier_plane", "none"),
+            "processor": get_args(type(self).__annotations__["processor"]),
+            "gno_layers": (1, 2),
             "gno_input": ("features", "acceleration"),
             "gno_kernel": ("relative", "official"),
             "gate_input": ("coords", "features"),
@@ -241,7 +266,8 @@ class TimeStepperConfig:
         positive = (
             "node_width edge_width particle_types embedding hidden mlp_depth latent_width "
             "transformer_width heads experts projection_layers projection_width fourier_width "
-            "fourier_layers fourier_modes fourier_hidden"
+            "fourier_layers fourier_modes fourier_hidden slices convolution_width "
+            "convolution_layers"
         ).split()
         natural = "layers_before layers_after transformer_layers transformer_mlp_depth".split()
         for least, names in ((1, positive), (0, natural)):
@@ -257,7 +283,8 @@ class TimeStepperConfig:
             )
 
     def _check_processor(self) -> None:
-        if self.processor.startswith("fourier") and self.occupied_tokens:
+        whole = self.processor.startswith("fourier") or self.processor == "convolution"
+        if whole and self.occupied_tokens:
             raise ValueError(
                 f"TimeStepperConfig.processor={self.processor!r} needs every node of the grid, but "
                 f"occupied_tokens=True leaves out those no particle reaches. Set "
@@ -267,6 +294,14 @@ class TimeStepperConfig:
             raise ValueError(
                 f"TimeStepperConfig.processor='fourier_plane' maps 3-D bodies to a plane, but "
                 f"dimension={self.dimension}. Use processor 'fourier'."
+            )
+        plain = self.gno_input == "features" and self.processor != "fourier_plane"
+        if self.gno_layers == 2 and not plain:
+            raise ValueError(
+                f"TimeStepperConfig.gno_layers=2 integrates node features over the graph before "
+                f"they go to a grid in space, but gno_input is {self.gno_input!r} and processor "
+                f"{self.processor!r}. Set gno_input to 'features' and the processor to another, "
+                f"or gno_layers to 1."
             )
 
     def _check_latent(self) -> None:
@@ -280,6 +315,12 @@ class TimeStepperConfig:
             raise ValueError(
                 f"TimeStepperConfig.latent_side must be >= 2 nodes, got {self.latent_side!r}. "
                 f"latent=False switches the grid off."
+            )
+        if not 0.0 <= self.latent_padding <= 1.0:
+            raise ValueError(
+                f"TimeStepperConfig.latent_padding is a share of the width of latent_bounds and "
+                f"must be in [0, 1], got {self.latent_padding!r}. 0.125 is enough for a Fourier "
+                f"operator."
             )
         ordered = all(len(pair) == 2 and pair[0] < pair[1] for pair in self.latent_bounds)
         if len(self.latent_bounds) != self.dimension or not ordered:

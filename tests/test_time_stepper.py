@@ -188,6 +188,41 @@ def test_without_a_processor_the_grid_is_two_means_around_a_linear_map():
     torch.testing.assert_close(latent(node, scene)[:40], expected, rtol=0, atol=1e-12)
 
 
+def test_second_kernel_integrals_are_means_over_the_neighbours_on_the_graph():
+    """Loops over the particles: v + mean kappa(y - x, x, v(y)), grid, w + mean kappa' w(y)."""
+    one, two, scene = make(processor="none"), make(processor="none", gno_layers=2), features()
+    latent, count = two.latent, len(scene.position)
+    assert not latent.load_state_dict(one.latent.state_dict(), strict=False).unexpected_keys
+    node = torch.randn(count, 16, dtype=torch.float64)
+    place, sender, receiver = scene.position, scene.edges.sender, scene.edges.receiver
+
+    def looped(value, kernel, *, sees_value):
+        rows = []
+        for particle in range(count):
+            near = sender[receiver == particle]
+            offset = scene.edge[receiver == particle, :3]
+            seen = [offset, place[particle].expand(len(near), -1)]
+            if sees_value:
+                rows.append(kernel(torch.cat([*seen, value[near]], dim=1)).mean(dim=0))
+            else:
+                rows.append((kernel(torch.cat(seen, dim=1)) * value[near]).mean(dim=0))
+        return value + torch.stack(rows)
+
+    sent = looped(node, latent.encode_near.kernel, sees_value=True)
+    one.latent.projection = torch.nn.Identity()
+    received = looped(one.latent(sent, scene), latent.decode_near.kernel, sees_value=False)
+    expected = latent.projection(received)
+    torch.testing.assert_close(latent(node, scene), expected, rtol=0, atol=1e-12)
+
+
+def test_a_padded_grid_goes_beyond_its_bounds_by_a_share_of_their_width():
+    """An eighth on each side; the same as bounds a quarter wider."""
+    padded = make(latent_padding=0.125, latent_bounds=[[0.0, 1.0], [-1.0, 1.0], [2.0, 6.0]])
+    wider = [[-0.125, 1.125], [-1.25, 1.25], [1.5, 6.5]]
+    assert padded.latent.grid.bounds == wider
+    assert padded.latent.grid.reach == make(latent_bounds=wider).latent.grid.reach
+
+
 def test_without_skip_the_grid_replaces_the_node_features():
     """With a projection that gives zero nothing of the particle is left: all answers are equal."""
     for skip, spread in ((True, True), (False, False)):
@@ -302,6 +337,12 @@ def test_deeper_variants_run():
             "needs every node of the grid.*Set occupied_tokens to False",
         ),
         ({"dimension": 2, "processor": "fourier_plane"}, "maps 3-D bodies.*Use processor"),
+        ({"processor": "convolution", "occupied_tokens": True}, "needs every node of the grid"),
+        ({"latent_padding": -0.1}, r"latent_padding is a share .* must be in \[0, 1\], got -0.1"),
+        ({"gno_layers": 2, "gno_input": "acceleration"}, "gno_layers=2 integrates node features"),
+        ({"gno_layers": 2, "processor": "fourier_plane"}, "gno_layers=2 integrates node features"),
+        ({"slices": 0}, "slices must be >= 1, got 0"),
+        ({"convolution_layers": 0}, "convolution_layers must be >= 1, got 0"),
     ],
 )
 def test_impossible_values_are_refused(changes, message):
@@ -311,7 +352,7 @@ def test_impossible_values_are_refused(changes, message):
 
 
 @pytest.mark.parametrize(
-    "name", ["node_skip", "gno_kernel", "gno_input", "gate_input", "processor"]
+    "name", ["node_skip", "gno_kernel", "gno_input", "gno_layers", "gate_input", "processor"]
 )
 def test_unknown_choices_are_refused(name):
     """By the class itself (ValueError), or before it by the run-time check of the annotations."""

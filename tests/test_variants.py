@@ -17,6 +17,7 @@ from giorom.training_data import load_training_data
 
 NO_MESSAGES = {"layers_before": 0, "layers_after": 0}
 FOURIER = {"processor": "fourier", "occupied_tokens": False, "fourier_modes": 4}
+CONVOLUTION = {"processor": "convolution", "occupied_tokens": False, "convolution_width": 8}
 FIRST_VERSION = FOURIER | {
     "processor": "fourier_plane",
     "latent_skip": False,
@@ -29,6 +30,9 @@ NETWORKS = {
     "Table 4: NOT without interaction operators": NO_MESSAGES,
     "Table 4: GNO, FNO, GNO": NO_MESSAGES | FOURIER,
     "Table 4: IO, FNO, IO, native": FOURIER,
+    "Table 4: 2 GNO, FNO, 2 GNO": NO_MESSAGES | FOURIER | {"gno_layers": 2},
+    "IO, Transolver, IO": {"processor": "transolver", "slices": 4},
+    "IO, CNN, IO": CONVOLUTION,
     "Table 5: IO, FNO, IO, on a plane": FIRST_VERSION,
     "Table 5: GNS": {"latent": False, "layers_before": 5, "layers_after": 5},
     "no processor": {"processor": "none"},
@@ -47,6 +51,7 @@ NETWORKS = {
     "official node skip": {"node_skip": "linear"},
     "the paper's messages": {"distance_weight": False},
     "the paper's tokens": {"occupied_tokens": False},
+    "margin of the grid": {"latent_padding": 0.1},
     "domain of the grid": {"latent_bounds": [[0.0, 1.0]] * 3},
 }
 """Fields of the network each variant changes."""
@@ -127,7 +132,8 @@ def test_the_window_is_as_many_velocities_as_asked_for(tiny, velocities):
 def test_weights_fit_a_latent_grid_of_any_side(tiny):
     """Table 12 trains on one grid and runs on others: no weight belongs to a node."""
     bounds = [[0.0, 1.0]] * 3
-    for name, side in (("transformer", 7), ("fourier", 8)):
+    sides = {"transformer": 7, "fourier": 8, "transolver": 7, "convolution": 6}
+    for name, side in sides.items():
         overrides = tiny.time_stepper.overrides | {"processor": name, "occupied_tokens": False}
         choice = replace(tiny.time_stepper, overrides=overrides | {"fourier_modes": 4})
         config = choice.build(dimension=3, features=tiny.features, latent_bounds=bounds)

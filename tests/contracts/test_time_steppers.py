@@ -79,6 +79,28 @@ def unprocessed(dimension: int) -> TimeStepper:
     return giorom(dimension, processor="none")
 
 
+def two_integrals(dimension: int) -> TimeStepper:
+    """A kernel integral over the graph beside each of those to the grid and back, no messages."""
+    return giorom(dimension, processor="none", layers_before=0, layers_after=0, gno_layers=2)
+
+
+def sliced(dimension: int) -> TimeStepper:
+    """A transformer of slices on the grid."""
+    return giorom(dimension, processor="transolver", slices=5)
+
+
+def convolved(dimension: int) -> TimeStepper:
+    """Convolutions on the grid, which goes beyond the bounds."""
+    return giorom(
+        dimension,
+        processor="convolution",
+        convolution_width=8,
+        convolution_layers=2,
+        occupied_tokens=False,
+        latent_padding=0.1,
+    )
+
+
 STEPPERS: dict[str, Callable[[int], nn.Module]] = {
     "giorom": giorom,
     "published": published,
@@ -86,6 +108,9 @@ STEPPERS: dict[str, Callable[[int], nn.Module]] = {
     "first_version": first_version,
     "fourier_alone": fourier_alone,
     "unprocessed": unprocessed,
+    "two_integrals": two_integrals,
+    "sliced": sliced,
+    "convolved": convolved,
 }
 
 TRANSLATION_INVARIANT = {"without_grid"}
