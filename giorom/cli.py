@@ -20,6 +20,7 @@ COMMANDS = {
     "evaluate": "score a trained model on held-out trajectories",
     "models": "list the pretrained models",
     "benchmark": "speed of the parts: benchmark solver",
+    "reproduce": "a table or figure of the paper, ours beside theirs: reproduce table3",
 }
 
 FAMILIES = ("benchmark",)

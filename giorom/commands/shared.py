@@ -52,13 +52,14 @@ def execute(name: str, command: ModuleType, arguments: list[str], *, description
 
     Args:
         name: Its name.
-        command: Module with ``add_arguments(parser)`` and ``run(arguments) -> dict``.
+        command: Module with ``add_arguments(parser)`` and ``run(arguments) -> dict``; its constant
+            ``DEVICE``, if it has one, is the default of ``--device``.
         arguments: What was typed after the name.
         description: One line of help.
     """
     parser = RefusingParser(prog=f"giorom {name}", description=description)
     command.add_arguments(parser)
-    _add_common(parser)
+    _add_common(parser, device=vars(command).get("DEVICE", "cpu"))
     changes: list[tuple[str, str]] = []
     if _takes_overrides(parser):
         arguments, changes = _split_overrides(arguments)
@@ -127,7 +128,7 @@ def chosen_experiment(arguments: argparse.Namespace) -> Experiment:
     return load_experiment(name, arguments.overrides)
 
 
-def check_device(device: str) -> None:
+def check_device(device: str | None) -> None:
     """Refuse a device this machine does not have."""
     if device == "cuda" and not torch.cuda.is_available():
         raise ValueError("--device cuda: PyTorch finds no CUDA device here; use --device cpu.")
@@ -203,11 +204,11 @@ def check_output(path: Path, *, folder: bool) -> Path:
     return path
 
 
-def _add_common(parser: argparse.ArgumentParser) -> None:
+def _add_common(parser: argparse.ArgumentParser, *, device: str | None) -> None:
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the result as JSON")
     parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
     parser.add_argument("--seed", type=_natural, default=0, help="seed of all random draws")
-    parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
+    parser.add_argument("--device", choices=("cpu", "cuda"), default=device)
     parser.add_argument("--threads", type=int, help="CPU threads of the networks")
 
 
