@@ -55,8 +55,9 @@ def test_a_diverged_rollout_is_in_no_paired_difference():
 
 
 def test_the_bootstrap_interval_of_a_mean_is_that_of_the_normal_law():
-    """For many values the mean is normal: 1.96 standard errors on either side, within three times
-    the 0.06 standard errors that 2000 samples leave open.
+    """For many values the mean is normal: 1.96 standard errors on either side.
+
+    2000 samples leave 0.06 standard errors open, of which three times as much is allowed.
     """
     values = [math.sin(1000.0 * number) for number in range(1, 2001)]
     mean = sum(values) / len(values)

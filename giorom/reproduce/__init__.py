@@ -7,6 +7,7 @@ models, scores) is made by ``study.py`` and kept, so that two of them never make
 from giorom.reproduce.report import Result
 from giorom.reproduce.scale import SCALES, Scale, SystemScale
 from giorom.reproduce.study import Study, Trial
+from giorom.reproduce.tuning import tuned
 
 IDS = (
     "table1",
@@ -33,4 +34,4 @@ IDS = (
 )
 """Names of the modules, in the order in which ``all`` runs them."""
 
-__all__ = ["IDS", "SCALES", "Result", "Scale", "Study", "SystemScale", "Trial"]
+__all__ = ["IDS", "SCALES", "Result", "Scale", "Study", "SystemScale", "Trial", "tuned"]

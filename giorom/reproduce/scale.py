@@ -87,7 +87,7 @@ def _words(budget: Budget) -> str:
 THROWN = ("water3d", "sand3d", "plasticine3d")
 """Systems of bodies thrown into a box in three dimensions."""
 
-SOLIDS_2D = ("sand2d", "water2d", "goop2d", "multimaterial2d")
+SYSTEMS_2D = ("sand2d", "water2d", "goop2d", "multimaterial2d")
 """Systems in two dimensions."""
 
 SYSTEMS_3D = ("water3d", "plasticine3d", "elastic3d", "sand3d")
@@ -129,15 +129,15 @@ def _tiny() -> Scale:
         changes=common | {"scene": body | {"spacing": 0.045, "wall": 0.125}},
         own=own | {"body_stepper": {"spacing": 0.125, "height_spacing": 0.125}},
     )
-    for system in SOLIDS_2D:
+    flat: dict[str, Any] = {
+        "scene": {"spacing": 0.02, "speed_range": [0.5, 0.6]},
+        "solver": {"frames": 14, "grid_cells": 30},
+    }
+    for system in SYSTEMS_2D:
         systems[system] = SystemScale(
             preset=f"{system}-small",
             trajectories=3,
-            changes=common
-            | {
-                "scene": {"spacing": 0.02, "speed_range": [0.5, 0.6]},
-                "solver": {"frames": 14, "grid_cells": 30},
-            },
+            changes=common | flat,
             own=own | {"grid_stepper": {"spacing": 0.06}},
         )
     return Scale(
@@ -166,7 +166,7 @@ def _cpu() -> Scale:
             preset="elastic3d-small", trajectories=40, changes=common | sparse
         ),
     }
-    for system in SOLIDS_2D:
+    for system in SYSTEMS_2D:
         systems[system] = SystemScale(preset=f"{system}-small", trajectories=60)
     return Scale(
         name="cpu",
