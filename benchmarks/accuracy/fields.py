@@ -41,7 +41,7 @@ FEW_STEPS = 100
 """A training of fewer steps says nothing about a kind."""
 
 MODES = 32
-"""Modes of both linear bases, and length of the autoencoder's latent vector."""
+"""Modes of both linear bases, and length of the latent vectors."""
 
 HEAD = """# What each field can recover
 
@@ -56,8 +56,9 @@ Error: mean over particles of the squared distance [m^2], at single frames and a
 frames; mean +- standard deviation over the held-out trajectories. Relative: error over
 displacement, both as root mean squares over the particles, at the same frames. Held particles of
 clamped bodies count, as they do in `giorom evaluate`. Fields that learn had {seconds:.0f} s each
-for the same training motions (POD decomposes and stops); `local` and `transport` have nothing to
-train. Linear bases have {modes} modes. Bold: the best mean over all frames.
+for the same training motions (POD decomposes and stops); `nearest`, `shepard`, `local` and
+`transport` have nothing to train. Linear bases have {modes} modes. Bold: the best mean over all
+frames.
 
 The core was shared with other work, so that times are upper bounds (those per frame include binding
 the field to the body) and the number of steps says what a training was worth: `kernel` and
@@ -156,7 +157,9 @@ def _trained(
         config,
         neural_basis=replace(config.neural_basis, modes=MODES),
         pod=replace(config.pod, modes=MODES),
+        pod_autoencoder=replace(config.pod_autoencoder, latent=MODES),
         autoencoder=replace(config.autoencoder, latent=MODES),
+        crom=replace(config.crom, latent=MODES),
     )
     dimension = experiment.scene.dimension
     field = build_field(config, dimension=dimension)

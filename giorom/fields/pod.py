@@ -6,7 +6,9 @@ bodies fill, and are interpolated linearly in between. A node outside a body has
 its snapshots; those gaps are filled by the modes themselves, over and over (gappy POD). The
 coefficients of a frame follow from the samples by least squares, as with the neural basis.
 
-No mean is subtracted: a body at rest has the coefficients zero.
+By default no mean is subtracted: a body at rest has the coefficients zero and rests. The textbook
+decomposition subtracts the mean displacement of the snapshots (``center``), which gives the modes
+more to say; a body at rest is then recovered as well as any other frame, no better.
 """
 
 import itertools
@@ -42,6 +44,9 @@ class PodConfig:
     sweeps: int = 20
     """How often the gaps are filled."""
 
+    center: bool = False
+    """Whether the modes are of displacements less their mean over the snapshots."""
+
     ridge: float = 1e-6
     """Regularisation of the normal equations, relative to the mean of their diagonal."""
 
@@ -75,6 +80,8 @@ class PodField(Field):
     origin: Tensor
     cell: Tensor
     mode: Tensor
+    mean: Tensor
+    spread: Tensor
 
     def __init__(self, config: PodConfig, *, dimension: int) -> None:
         super().__init__(dimension=dimension)
@@ -83,6 +90,8 @@ class PodField(Field):
         self.register_buffer("origin", torch.zeros(dimension))
         self.register_buffer("cell", torch.ones(dimension))
         self.register_buffer("mode", torch.zeros(shape))
+        self.register_buffer("mean", torch.zeros(shape[:2]))
+        self.register_buffer("spread", torch.ones(config.modes))
 
     def prepare(self, trajectories: list[Trajectory]) -> None:
         """Decompose snapshots of the training motions.
@@ -107,8 +116,14 @@ class PodField(Field):
                 f"{snapshots.shape[1]} training frames cannot give {self.config.modes} modes. "
                 f"Lower PodConfig.modes or train on more frames."
             )
+        if self.config.center:
+            mean = snapshots.sum(dim=1) / mask.sum(dim=1).clamp_min(1)
+            snapshots = torch.where(mask, snapshots - mean[:, None], 0.0)
+            self.mean.copy_(mean.unflatten(0, (-1, self.dimension)))
         modes = gappy_modes(snapshots, mask, self.config.modes, sweeps=self.config.sweeps)
         self.mode.copy_(modes.unflatten(0, (-1, self.dimension)))
+        spread = (modes.T @ snapshots).square().mean(dim=1).sqrt()
+        self.spread.copy_(spread)
 
     def _snapshots(self, trajectory: Trajectory, frames: int) -> tuple[Tensor, Tensor]:
         """Displacements of the nodes at some frames, and which rows are within the body."""
@@ -135,18 +150,40 @@ class PodField(Field):
 
     def basis(self, reference: Float[Tensor, "p d"]) -> Float[Tensor, "p d r"]:
         """Modes at any points, linear between the nodes, constant outside the grid."""
+        return self._interpolated(self.mode, reference)
+
+    def mean_displacement(self, reference: Float[Tensor, "p d"]) -> Float[Tensor, "p d"]:
+        """Mean displacement of the snapshots at any points [m]; zero unless ``center``."""
+        return self._interpolated(self.mean[:, :, None], reference)[:, :, 0]
+
+    def check_prepared(self) -> None:
+        """Refuse to decode without modes.
+
+        Raises:
+            ValueError: If the field has not been prepared.
+        """
+        if not bool(self.mode.any()):
+            raise ValueError(
+                "the POD field holds no modes yet; prepare it with training trajectories, which "
+                "giorom train does."
+            )
+
+    def _interpolated(
+        self, table: Float[Tensor, "n d r"], reference: Float[Tensor, "p d"]
+    ) -> Float[Tensor, "p d r"]:
+        """Values at the nodes, linear in between."""
         side = self.config.side(self.dimension)
         place = ((reference - self.origin) / self.cell).clamp(0.0, side - 1.0)
         corner = place.floor().clamp(max=side - 2.0)
         share, corner = place - corner, corner.long()
-        result = torch.zeros_like(self.mode[:1]).expand(len(reference), -1, -1).clone()
+        result = torch.zeros_like(table[:1]).expand(len(reference), -1, -1).clone()
         for shift in itertools.product((0, 1), repeat=self.dimension):
             step = torch.tensor(shift, device=corner.device)
             weight = torch.where(step == 1, share, 1.0 - share).prod(dim=1)
             number = corner[:, 0] + step[0]
             for axis in range(1, self.dimension):
                 number = number * side + corner[:, axis] + step[axis]
-            result += weight[:, None, None] * self.mode[number]
+            result += weight[:, None, None] * table[number]
         return result
 
     def bind(
@@ -162,12 +199,40 @@ class PodField(Field):
         Raises:
             ValueError: If the field has not been prepared.
         """
-        if not bool(self.mode.any()):
-            raise ValueError(
-                "the POD field holds no modes yet; prepare it with training trajectories, which "
-                "giorom train does."
-            )
-        return BasisDecoder(self.basis, reference, query, ridge=self.config.ridge, held=held)
+        self.check_prepared()
+        settings = {"ridge": self.config.ridge, "held": held}
+        if not self.config.center:
+            return BasisDecoder(self.basis, reference, query, **settings)
+        return CenteredDecoder(self, reference, query, **settings)
+
+
+class CenteredDecoder(BasisDecoder):
+    """A basis of what is left when the mean displacement is subtracted.
+
+    Args:
+        field: Basis and mean.
+        reference: Undeformed positions of the samples [m].
+        query: Undeformed positions of the points to recover [m].
+        ridge: Regularisation of the normal equations.
+        held: Query points that never move; by default none.
+    """
+
+    def __init__(
+        self,
+        field: PodField,
+        reference: Float[Tensor, "q d"],
+        query: Float[Tensor, "p d"],
+        *,
+        ridge: float,
+        held: Bool[Tensor, " p"] | None = None,
+    ) -> None:
+        super().__init__(field.basis, reference, query, ridge=ridge, held=held)
+        self.sample_mean = field.mean_displacement(reference)
+        self.query_mean = field.mean_displacement(query)
+
+    def recover(self, position: Float[Tensor, "q d"]) -> Float[Tensor, "p d"]:
+        """X + mean + U(X) q."""
+        return super().recover(position - self.sample_mean) + self.query_mean
 
 
 def gappy_modes(

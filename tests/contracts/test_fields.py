@@ -19,13 +19,25 @@ from giorom.training.field_loop import FieldTrainingConfig, train_field
 SETTINGS: dict[str, dict[str, Any]] = {
     "neural_basis": {"modes": 6, "width": 12, "depth": 2},
     "pod": {"modes": 6, "nodes": 125, "snapshots": 8, "sweeps": 2},
+    "pod_autoencoder": {"modes": 4, "latent": 3, "width": 8, "nodes": 125, "snapshots": 8},
     "autoencoder": {"latent": 4, "width": 16, "depth": 2},
+    "crom": {"latent": 4, "width": 16, "depth": 2, "encoder_width": 8},
     "kernel": {"neighbors": 8, "hidden": 8},
+    "kernel_rom": {"neighbors": 8, "hidden": 8},
+    "nearest": {},
+    "shepard": {},
     "local": {},
     "transport": {},
 }
 
-TRANSLATES = {"autoencoder": 1e-12, "kernel": 1e-12, "local": 1e-10, "transport": 1e-10}
+TRANSLATES = {
+    "autoencoder": 1e-12,
+    "kernel": 1e-12,
+    "nearest": 1e-12,
+    "shepard": 1e-12,
+    "local": 1e-10,
+    "transport": 1e-10,
+}
 """Kinds that move every point along with a rigid translation, and to which error [m]."""
 
 TURNS = {"local": 1e-10, "transport": 1e-10}
