@@ -14,12 +14,18 @@ from typing import Any, Literal
 
 from torch import nn
 
+from giorom.baselines.gat import GAT, GATConfig
+from giorom.baselines.gns import GNS, GNSConfig
 from giorom.baselines.linear import Linear, LinearConfig
 from giorom.baselines.shape import NetworkShape
 from giorom.features import FeatureConfig
 from giorom.records import parse_fields
 
-BaselineKind = Literal["linear",]
+BaselineKind = Literal[
+    "linear",
+    "gns",
+    "gat",
+]
 """Names of the kinds."""
 
 
@@ -35,6 +41,12 @@ class BaselineConfig:
 
     linear: LinearConfig | None = None
     """A linear map of the features."""
+
+    gns: GNSConfig | None = None
+    """Message passing with sums."""
+
+    gat: GATConfig | None = None
+    """Graph attention."""
 
     def __post_init__(self) -> None:
         """Reject a record that is missing or belongs to another kind."""
@@ -53,6 +65,8 @@ class BaselineConfig:
 
 KINDS: dict[str, type[nn.Module]] = {
     "linear": Linear,
+    "gns": GNS,
+    "gat": GAT,
 }
 """The network of each kind, made from its record and a ``NetworkShape``."""
 

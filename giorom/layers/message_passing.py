@@ -6,7 +6,7 @@ at its two ends, averaged over the neighbours, and a pointwise network of the av
 dimensionless; edges run from ``sender`` to ``receiver``.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float
@@ -31,7 +31,7 @@ class Neighborhood:
     """Edges of each sender."""
 
     weight: Float[Tensor, " e"]
-    """Weight of each edge in the mean over its receiver."""
+    """Weight of each edge in the mean or sum over its receiver."""
 
     @classmethod
     def of(
@@ -58,6 +58,21 @@ class Neighborhood:
         if distance_weight:
             weight = weight / (1.0 + distance)
         return cls(receiver=receiver, sender=sender, weight=weight)
+
+    @classmethod
+    def summed(cls, edges: Edges, *, dtype: torch.dtype) -> "Neighborhood":
+        """Prepare a graph whose layers add the messages up instead of averaging them.
+
+        Args:
+            edges: Edges sorted by receiver.
+            dtype: Precision of the weights, which are one.
+        """
+        mean = cls.of(
+            edges,
+            distance=torch.zeros(len(edges.receiver), dtype=dtype, device=edges.receiver.device),
+            distance_weight=False,
+        )
+        return replace(mean, weight=torch.ones_like(mean.weight))
 
 
 class MessagePassing(nn.Module):
