@@ -15,17 +15,17 @@ from typing import Any, Literal
 from torch import nn
 
 from giorom.baselines.gat import GAT, GATConfig
+from giorom.baselines.gnot import GNOT, GNOTConfig
 from giorom.baselines.gns import GNS, GNSConfig
+from giorom.baselines.ipot import IPOT, IPOTConfig
 from giorom.baselines.linear import Linear, LinearConfig
+from giorom.baselines.operator import OperatorConfig, OperatorStepper
 from giorom.baselines.shape import NetworkShape
+from giorom.baselines.transolver import Transolver, TransolverConfig
 from giorom.features import FeatureConfig
 from giorom.records import parse_fields
 
-BaselineKind = Literal[
-    "linear",
-    "gns",
-    "gat",
-]
+BaselineKind = Literal["linear", "gns", "gat", "gnot", "ipot", "transolver", "operator"]
 """Names of the kinds."""
 
 
@@ -48,6 +48,18 @@ class BaselineConfig:
     gat: GATConfig | None = None
     """Graph attention."""
 
+    gnot: GNOTConfig | None = None
+    """Cross-attention from the particles to the particles, with gated experts."""
+
+    ipot: IPOTConfig | None = None
+    """Latent vectors that read all particles."""
+
+    transolver: TransolverConfig | None = None
+    """Attention among learned slices of the particles."""
+
+    operator: OperatorConfig | None = None
+    """The paper's operator transformer on the particles."""
+
     def __post_init__(self) -> None:
         """Reject a record that is missing or belongs to another kind."""
         given = [kind for kind in KINDS if getattr(self, kind) is not None]
@@ -67,10 +79,14 @@ KINDS: dict[str, type[nn.Module]] = {
     "linear": Linear,
     "gns": GNS,
     "gat": GAT,
+    "gnot": GNOT,
+    "ipot": IPOT,
+    "transolver": Transolver,
+    "operator": OperatorStepper,
 }
 """The network of each kind, made from its record and a ``NetworkShape``."""
 
-WITHOUT_EDGES: frozenset[str] = frozenset()
+WITHOUT_EDGES: frozenset[str] = frozenset({"gnot", "ipot", "transolver", "operator"})
 """Kinds that read no edges: their graph is never built."""
 
 

@@ -129,6 +129,7 @@ class OperatorBlock(nn.Module):
         experts: int,
         expert_hidden: int,
         dropout: float,
+        gate_hidden: int | None = None,
     ) -> None:
         """Make the sub-layers.
 
@@ -140,9 +141,13 @@ class OperatorBlock(nn.Module):
             expert_hidden: Hidden channels of each network.
             dropout: Share of what the attention mixes, and again of what it gives, that is set to
                 zero in training.
+            gate_hidden: Hidden channels of the gate; None means ``width``.
         """
         super().__init__()
-        self.gate = MLP([gate_width, width, width, experts], activation=functional.gelu)
+        hidden = [gate_hidden or width] * 2
+        self.gate = None  # one expert needs none
+        if experts > 1:
+            self.gate = MLP([gate_width, *hidden, experts], activation=functional.gelu)
         self.cross = NormalizedAttention(width, heads=heads, dropout=dropout)
         self.own = NormalizedAttention(width, heads=heads, dropout=dropout)
         self.cross_experts = GatedExperts(width, experts=experts, hidden=expert_hidden)
@@ -169,12 +174,18 @@ class OperatorBlock(nn.Module):
             The new tokens.
         """
         of_token, of_branch, of_cross, of_self, of_own = self.norms
-        gate = self.gate(place).softmax(dim=-1).expand(token.shape[0], -1, -1)
+        gate = self._shares(place).expand(token.shape[0], -1, -1)
         token = token + self.dropout(self.cross(of_token(token), of_branch(branch), mask))
         token = token + of_cross(self.cross_experts(token, gate))
         calm = of_self(token)
         token = token + self.dropout(self.own(calm, calm, mask))
         return token + of_own(self.own_experts(token, gate))
+
+    def _shares(self, place: Tensor) -> Tensor:
+        """Share of each expert."""
+        if self.gate is None:
+            return place.new_ones(*place.shape[:2], 1)
+        return self.gate(place).softmax(dim=-1)
 
 
 class OperatorTransformer(nn.Module):

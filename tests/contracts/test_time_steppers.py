@@ -12,6 +12,8 @@ import safetensors.torch
 import torch
 from torch import nn
 
+from giorom.baselines import BaselineConfig, NetworkShape, build_baseline
+from giorom.baselines.choice import settings_type
 from giorom.features import Features
 from giorom.time_stepper import TimeStepper, TimeStepperConfig
 
@@ -101,6 +103,22 @@ def convolved(dimension: int) -> TimeStepper:
     )
 
 
+def baseline(kind: str, **settings: object) -> Callable[[int], nn.Module]:
+    """A network of another method, with these settings."""
+
+    def build(dimension: int) -> nn.Module:
+        shape = NetworkShape(
+            dimension=dimension,
+            node_width=7 * dimension,
+            edge_width=dimension + 1,
+            bounds=[[-0.1, 1.1]] * dimension,
+        )
+        record = settings_type(kind)(**settings)
+        return build_baseline(BaselineConfig(kind=kind, shape=shape, **{kind: record}))
+
+    return build
+
+
 STEPPERS: dict[str, Callable[[int], nn.Module]] = {
     "giorom": giorom,
     "published": published,
@@ -111,6 +129,11 @@ STEPPERS: dict[str, Callable[[int], nn.Module]] = {
     "two_integrals": two_integrals,
     "sliced": sliced,
     "convolved": convolved,
+    "gnot": baseline("gnot", width=16, layers=2, heads=2),
+    "ipot": baseline("ipot", width=16, latents=6, bands=3, heads=2, cross_heads=2),
+    "ipot_query": baseline("ipot", width=20, latents=6, bands=3, heads=4, query_features=True),
+    "transolver": baseline("transolver", width=16, layers=2, slices=5),
+    "operator": baseline("operator", width=16, layers=2),
 }
 
 TRANSLATION_INVARIANT = {"without_grid"}
