@@ -35,7 +35,7 @@ class Result:
 
     columns: list[str]
     """Keys of the rows that are printed, in order; a key with ``_min`` and ``_max`` beside it is
-    printed with its range."""
+    printed with its range over seeds, one with ``_low`` and ``_high`` with its interval."""
 
     rows: list[dict[str, Any]]
     """JSON values; keys that are no column go to CSV and JSON alone."""
@@ -97,10 +97,11 @@ def markdown_table(columns: list[str], rows: list[dict[str, Any]]) -> str:
 def cell(row: dict[str, Any], column: str) -> str:
     """One entry of a row as text."""
     text = number(row.get(column))
-    low, high = row.get(f"{column}_min"), row.get(f"{column}_max")
-    if low is None or high is None or low == high:
-        return text
-    return f"{text} ({number(low)} to {number(high)})"
+    for ends, pattern in ((("min", "max"), "{} ({} to {})"), (("low", "high"), "{} [{}, {}]")):
+        low, high = (row.get(f"{column}_{end}") for end in ends)
+        if low is not None and high is not None and low != high:
+            return pattern.format(text, number(low), number(high))
+    return text
 
 
 def number(value: Any) -> str:

@@ -176,6 +176,7 @@ class Study:
         sparse_points: int | None = None,
         frames: int | None = None,
         where: str = "test",
+        full: bool = True,
     ) -> dict[str, Any]:
         """Scores of a trained model: ``evaluation.summarize``, and what the training took.
 
@@ -184,9 +185,11 @@ class Study:
             sparse_points: Number of samples; by default as trained.
             frames: Frames to predict; by default all there are.
             where: Split of the data set.
+            full: Whether all particles are recovered and scored, and single steps; three quarters
+                of the work.
         """
         record = self.training(trial)
-        options = {"sparse_points": sparse_points, "frames": frames, "where": where}
+        options = _score_options(sparse_points=sparse_points, frames=frames, where=where, full=full)
         data = self.dataset(trial.system)
 
         def make() -> dict[str, Any]:
@@ -200,19 +203,22 @@ class Study:
         known = {name: record[name] for name in kept}
         return found | known | {"trial": self.folder(trial).name}
 
-    def train_all(self, trials: Iterable[Trial], *, score: bool = True) -> None:
+    def train_all(self, trials: Iterable[Trial], *, score: bool = True, full: bool = True) -> None:
         """Train, and score on the test split, whatever of the trials is missing.
 
         Args:
             trials: The trainings; repeated ones are made once.
             score: Whether they are scored too.
+            full: Whether the scores are those of all particles too, as in ``scores``.
         """
         wanted = {self.folder(trial).name: trial for trial in trials}
         for system in dict.fromkeys(trial.system for trial in wanted.values()):
             self.dataset(system)
-        missing = [trial for trial in wanted.values() if not self._is_done(trial, score=score)]
+        missing = [
+            trial for trial in wanted.values() if not self._is_done(trial, score=score, full=full)
+        ]
         self.work(
-            [(_train_and_score, (self._plain(), trial, score)) for trial in missing],
+            [(_train_and_score, (self._plain(), trial, score, full)) for trial in missing],
             names=[f"{t.system} {t.method}, seed {t.seed}" for t in missing],
         )
 
@@ -290,11 +296,12 @@ class Study:
             raise ValueError(f"there is no system {system!r}. {nearest(system, known)}")
         return self.scale.systems[system]
 
-    def _is_done(self, trial: Trial, *, score: bool) -> bool:
+    def _is_done(self, trial: Trial, *, score: bool, full: bool) -> bool:
         folder = self.folder(trial)
         if not (folder / "trained.json").is_file():
             return False
-        return not score or self._kept_path("scores", _score_key(folder.name)).is_file()
+        key = {"trial": folder.name, **_score_options(full=full)}
+        return not score or self._kept_path("scores", key).is_file()
 
     def _kept_path(self, name: str, key: dict[str, Any]) -> Path:
         safe = re.sub(r"[^A-Za-z0-9-]", "-", name)
@@ -315,9 +322,9 @@ class Study:
         return replace(self, jobs=1, report=quiet, used={})
 
 
-def _train_and_score(study: Study, trial: Trial, score: bool) -> None:
+def _train_and_score(study: Study, trial: Trial, score: bool, full: bool) -> None:
     if score:
-        study.scores(trial)
+        study.scores(trial, full=full)
     else:
         study.training(trial)
 
@@ -328,9 +335,15 @@ def _keep_one(
     study.kept(name, key, partial(make, study, key))
 
 
-def _score_key(trial: str) -> dict[str, Any]:
-    """Key of the default scores of a training."""
-    return {"trial": trial, "sparse_points": None, "frames": None, "where": "test"}
+def _score_options(
+    *,
+    sparse_points: int | None = None,
+    frames: int | None = None,
+    where: str = "test",
+    full: bool = True,
+) -> dict[str, Any]:
+    """How a model is scored; part of the key under which the scores are kept."""
+    return {"sparse_points": sparse_points, "frames": frames, "where": where, "full": full}
 
 
 def _method(name: str) -> Any:

@@ -83,6 +83,7 @@ def score_run(
     where: str,
     frames: int | None,
     sparse_points: int | None,
+    full: bool,
     device: str,
 ) -> dict[str, Any]:
     """Scores of a trained model on one split of a data set, as JSON values.
@@ -93,6 +94,7 @@ def score_run(
         where: Its split.
         frames: Frames to predict; none: all there are.
         sparse_points: Number of samples; none: as trained.
+        full: Whether all particles are recovered and scored too.
         device: ``cpu`` or ``cuda``.
     """
     simulator = Simulator.from_pretrained(run).to(device)
@@ -100,7 +102,9 @@ def score_run(
     for trajectory in iterate_trajectories(data, where):
         moved = trajectory.to(device)
         results.append(
-            evaluate_trajectory(simulator, moved, frames=frames, sparse_points=sparse_points)
+            evaluate_trajectory(
+                simulator, moved, frames=frames, sparse_points=sparse_points, full=full
+            )
         )
         edges.append(edge_count(simulator, moved, sparse_points=sparse_points))
         samples.append(results[-1]["sparse_points"])
