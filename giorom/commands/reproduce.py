@@ -24,6 +24,9 @@ from giorom.reproduce.report import cell, write_result
 DEVICE = None
 """Default of --device: the scale chooses."""
 
+FAILURES = (ArithmeticError, ImportError, LookupError, RuntimeError, TypeError, ValueError)
+"""What ends the work on one table and leaves the others to be made; a full disk ends all."""
+
 MARK = "reproduce.json"
 """File that says what a folder of results holds."""
 
@@ -57,7 +60,7 @@ def _write_all(arguments: argparse.Namespace, ids: list[str], study: Study) -> d
     for name in ids:
         try:
             results.append(_write_one(arguments, name, study))
-        except (ArithmeticError, LookupError, RuntimeError, TypeError, ValueError) as error:
+        except FAILURES as error:
             if len(ids) == 1:
                 raise
             failures[name] = one_line(error)

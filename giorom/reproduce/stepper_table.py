@@ -147,8 +147,8 @@ def ranks(rows: list[dict[str, Any]], *, column: str = "rollout_mse") -> list[st
         place = names.index("default")
         before = ", ".join(row["method"] for row in known[:place]) or "none"
         lines.append(
-            f"{system}: ours is number {place + 1} of {len(mine)} at equal time of training; before "
-            f"it: {before}."
+            f"{system}: ours is number {place + 1} of {len(mine)} at equal time of training; "
+            f"before it: {before}."
         )
     return lines
 

@@ -10,7 +10,7 @@ import json
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, field, replace
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -87,7 +87,7 @@ class Study:
         else:
             values = merged(values, made.own)
         name = "+".join((made.preset, *chosen.recipes))
-        return load_experiment(name, merged(values, changes or {}))
+        return _loaded(name, json.dumps(merged(values, changes or {}), sort_keys=True))
 
     def dataset(self, system: str) -> Path:
         """The data set of a system, made if it is not there."""
@@ -320,6 +320,12 @@ class Study:
     def _plain(self) -> "Study":
         """The same study for another process: alone and silent."""
         return replace(self, jobs=1, report=quiet, used={})
+
+
+@lru_cache(maxsize=1024)
+def _loaded(name: str, overrides: str) -> Experiment:
+    """An experiment by its name and its overrides as JSON; reading one takes a while."""
+    return load_experiment(name, json.loads(overrides))
 
 
 def _train_and_score(study: Study, trial: Trial, score: bool, full: bool) -> None:

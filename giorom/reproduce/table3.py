@@ -50,15 +50,15 @@ def run(study: Study) -> Result:
 def notes() -> list[str]:
     """How the columns are counted."""
     return [
-        "Errors are mean squared distances of the samples in m², the given frames counted as in the "
-        "paper; in brackets the range over seeds. Rollouts that diverged are in no mean.",
+        "Errors are mean squared distances of the samples in m², the given frames counted as in "
+        "the paper; in brackets the range over seeds. Rollouts that diverged are in no mean.",
         "`times ours`: error over that of ours, geometric mean over test trajectories, with the "
         "95 % interval of a bootstrap over them.",
         "`equal steps mse`: a training of the first seed with as many optimiser steps as the "
-        "slowest of the networks did in the equal time. Ours is fitted by a search or by rollouts, "
-        "whose steps are no optimiser steps of a network: it has no such number.",
-        "The paper's numbers are of its own data, sizes and training times, and of fewer baselines' "
-        "parameters than stated; they are a scale, not a target. The cross in the picture is the "
-        "paper's.",
+        "slowest of the networks did in the equal time. Ours is fitted to whole rollouts, by a "
+        "search where a grid moves the samples: its steps are not those of a network, and it has "
+        "no such number.",
         "`edges`: edges of the graph that the method reads, at the first frame.",
+        "The paper's numbers are of its own data, sizes and training times: a scale, not a target. "
+        "The cross in the picture is the paper's.",
     ]

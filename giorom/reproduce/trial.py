@@ -71,8 +71,8 @@ def train_trial(
     kept = ("steps", "seconds", "parameters", "best_rollout_mse", "radius", "latent_coverage")
     record = {name: result.get(name) for name in kept} | {"problem": problem}
     record |= {"giorom": __version__, "machine": describe_machine(), "device": device}
-    shutil.rmtree(run / "checkpoints", ignore_errors=True)
     write_json(folder / "trained.json", record)
+    shutil.rmtree(run / "checkpoints", ignore_errors=True)
     return record
 
 
