@@ -1,40 +1,18 @@
-"""How far the solver is from repeating its own motion: no surrogate can be asked for less.
+"""How far the solver is from repeating its own motion on the scenes of a model or preset."""
 
-The same scene is simulated again with another velocity of every particle (independent, normal
-noise), with twice the substeps, and on a finer grid. The errors are those of a rollout: mean
-squared distance of the same particles, at a frame and as mean of all frames so far.
-"""
-
-import time
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
-import torch
-
-from giorom.evaluation.comparison import REPORT_FRAMES
-from giorom.evaluation.machine import describe_machine
-from giorom.evaluation.metrics import squared_error_per_frame
+from giorom.evaluation.noise_floor import measure_noise_floor as measure
 from giorom.generate import SCENES_PER_SEED
-from giorom.mpm import Scene, SceneConfig, SimulationError, SolverConfig, draw_scene, simulate
-from giorom.mpm.simulate import chosen_substeps
-from giorom.state import Trajectory
+from giorom.mpm import SceneConfig, SolverConfig
 
 SEED = 3000
 """Seed of the scenes: neither that of training data nor that of the held-out sets."""
 
-SPEEDS = (1e-3, 1e-2)
-"""Standard deviations of each component of the added velocity [m/s]."""
-
-FINER = 1.25
-"""Grid cells per axis of the finer grid, over those of the preset."""
-
 TRAJECTORIES = 4
 FRAMES = 400
 """Frames after the first, whatever the preset has."""
-
-Change = Callable[[Scene, SolverConfig, int], tuple[Scene, SolverConfig]]
-"""Another run of a scene: what changes, from the scene, the solver and a seed."""
 
 
 def measure_noise_floor(
@@ -58,75 +36,6 @@ def measure_noise_floor(
         device: ``cpu`` or ``cuda``.
         report: Called with runs done and wanted.
     """
-    start = time.perf_counter()
-    solver = replace(solver, frames=frames + 1)
-    errors: dict[str, list[torch.Tensor]] = {name: [] for name in changes()}
-    failed: list[str] = []
-    wanted = trajectories * (1 + len(errors))
-    for index in range(trajectories):
-        drawn = draw_scene(scene, seed=seed * SCENES_PER_SEED + index)
-        truth = simulate(drawn, solver, device=device)
-        report(index * (1 + len(errors)) + 1, wanted)
-        for number, (name, change) in enumerate(changes().items()):
-            try:
-                again = _repeat(change, drawn, solver, index=index, device=device)
-                errors[name].append(squared_error_per_frame(again.position, truth.position))
-            except SimulationError as error:
-                failed.append(f"scene {index}, {name}: {error}")
-            report(index * (1 + len(errors)) + number + 2, wanted)
-    return {
-        "trajectories": trajectories,
-        "frames": frames,
-        "seed": seed,
-        "rows": [_row(name, found) for name, found in errors.items() if found],
-        "failed": failed,
-        "seconds": time.perf_counter() - start,
-        "machine": describe_machine(),
-    }
-
-
-def changes() -> dict[str, Change]:
-    """What is changed, by name."""
-    shaken: dict[str, Change] = {f"velocity + {speed:g} m/s": _shake_by(speed) for speed in SPEEDS}
-    return shaken | {"substeps x 2": _halve_substeps, f"grid cells x {FINER:g}": _refine}
-
-
-def _repeat(
-    change: Change, scene: Scene, solver: SolverConfig, *, index: int, device: str
-) -> Trajectory:
-    changed_scene, changed_solver = change(scene, solver, index)
-    return simulate(changed_scene, changed_solver, device=device)
-
-
-def _shake_by(speed: float) -> Change:
-    def shake(scene: Scene, solver: SolverConfig, seed: int) -> tuple[Scene, SolverConfig]:
-        generator = torch.Generator().manual_seed(seed)
-        noise = speed * torch.randn(scene.velocity.shape, generator=generator)
-        noise[scene.kinematic] = 0.0
-        return replace(scene, velocity=scene.velocity + noise), solver
-
-    return shake
-
-
-def _halve_substeps(scene: Scene, solver: SolverConfig, _: int) -> tuple[Scene, SolverConfig]:
-    return scene, replace(solver, substeps=2 * chosen_substeps(scene, solver))
-
-
-def _refine(scene: Scene, solver: SolverConfig, _: int) -> tuple[Scene, SolverConfig]:
-    cells = round(FINER * solver.grid_cells)
-    return scene, replace(solver, grid_cells=cells, substeps=None)
-
-
-def _row(name: str, errors: list[torch.Tensor]) -> dict[str, Any]:
-    """Means and largest values over scenes, at the frames of the report and until then."""
-    table = torch.stack(errors)
-    until = table.cumsum(dim=1) / torch.arange(1, table.shape[1] + 1)
-    frames = [frame for frame in REPORT_FRAMES if frame < table.shape[1]]
-    return {
-        "change": name,
-        "scenes": len(errors),
-        "mse_at": {str(f): float(table[:, f].mean()) for f in frames},
-        "mse_at_largest": {str(f): float(table[:, f].max()) for f in frames},
-        "mse_until": {str(f): float(until[:, f].mean()) for f in frames},
-        "mse_until_largest": {str(f): float(until[:, f].max()) for f in frames},
-    }
+    seeds = [seed * SCENES_PER_SEED + index for index in range(trajectories)]
+    found = measure(scene, solver, seeds=seeds, frames=frames, device=device, report=report)
+    return found | {"seed": seed}

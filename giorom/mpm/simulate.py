@@ -117,12 +117,27 @@ def simulate(
 
 
 class Run:
-    """A simulation that is ready to start: its frames come one by one, in constant memory."""
+    """A simulation that is ready to start: its frames come one by one, in constant memory.
 
-    def __init__(self, scene: Scene, solver: SolverConfig, *, device: str = "cpu") -> None:
+    Args:
+        scene: Initial particles, material, walls and gravity.
+        solver: Grid and time steps.
+        device: ``"cpu"`` or ``"cuda"``.
+        obey_rules: Whether the substeps asked for must be those that the time-step rules allow;
+            the rules keep a margin, and without them only the guards of every frame are left.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        solver: SolverConfig,
+        *,
+        device: str = "cpu",
+        obey_rules: bool = True,
+    ) -> None:
         self.scene = scene
         self.solver = solver
-        self.walls, self.substeps = require_runnable(scene, solver)
+        self.walls, self.substeps = require_runnable(scene, solver, obey_rules=obey_rules)
 
         from giorom.mpm.engine import Engine
 
@@ -186,8 +201,15 @@ class Run:
         )
 
 
-def require_runnable(scene: Scene, solver: SolverConfig) -> tuple[Walls, int]:
+def require_runnable(
+    scene: Scene, solver: SolverConfig, *, obey_rules: bool = True
+) -> tuple[Walls, int]:
     """Check a scene against a grid and its time steps, before anything is started.
+
+    Args:
+        scene: Initial particles, material, walls and gravity.
+        solver: Grid and time steps.
+        obey_rules: Whether substeps asked for are checked against the time-step rules.
 
     Returns:
         The walls on the grid and the substeps of a frame.
@@ -199,6 +221,8 @@ def require_runnable(scene: Scene, solver: SolverConfig) -> tuple[Walls, int]:
     _require_switch_in_run(scene, solver)
     walls = walls_of(scene, solver.grid_cells)
     walls.require_inside(scene.position)
+    if solver.substeps is not None and not obey_rules:
+        return walls, solver.substeps
     return walls, chosen_substeps(scene, solver)
 
 
