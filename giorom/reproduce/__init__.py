@@ -24,6 +24,7 @@ IDS = (
     "table13",
     "table14",
     "rom",
+    "latent",
     "figure3",
     "figure5a",
     "figure6",

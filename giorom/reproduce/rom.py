@@ -264,8 +264,8 @@ def _notes(study: Study, rows: list[dict[str, Any]]) -> list[str]:
     time = f"{budget.steps} steps" if budget.minutes is None else f"{60.0 * budget.minutes:.0f} s"
     notes = [
         f"True samples in, all particles out; no time-stepper. Every field that learns had {time}, "
-        f"what is prepared in closed form included; POD stops when it has decomposed. No setting "
-        f"was tuned; ranks and sizes beside the first of a kind were trained with one seed.",
+        f"of gradient descent; seconds count what is set in closed form too. No setting was tuned; "
+        f"ranks and sizes beside the first of a kind were trained with one seed.",
         "relative error: root of summed squared errors over summed squared displacements of all "
         "particles at evenly spaced frames; mse: mean squared distance [m^2]; chamfer: mean "
         "squared distance to the nearest point, both ways added, full sets [m^2]. Samples of the "

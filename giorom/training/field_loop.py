@@ -80,18 +80,19 @@ def train_field(
         trajectories: Thinned training trajectories.
         config: How.
         seed: Seed of the draws.
-        minutes: Longest time [min].
+        minutes: Longest time of the gradient descent [min]; closed forms come on top.
         report: Called after every step with numbers for a progress bar.
         turn: Turn bodies about the vertical at random.
 
     Returns:
         Steps, seconds and, if there was anything to learn, the smoothed relative error.
     """
-    start, step, mean = time.perf_counter(), 0, math.nan
+    begin, step, mean = time.perf_counter(), 0, math.nan
     field.prepare(trajectories)
     if not field.learns:
-        return {"steps": 0, "seconds": time.perf_counter() - start}
-    optimizer = torch.optim.Adam(field.parameters())
+        return {"steps": 0, "seconds": time.perf_counter() - begin}
+    optimizer = torch.optim.Adam(field.parameters())  # the first one of a process takes seconds
+    start = time.perf_counter()
     while True:
         share = max(step / config.steps, (time.perf_counter() - start) / (60.0 * minutes))
         if share >= 1.0:
@@ -111,7 +112,7 @@ def train_field(
         mean = value if math.isnan(mean) else 0.98 * mean + 0.02 * value
         step += 1
         report({"loss": mean, "progress": share, "step": step})
-    result = {"steps": step, "seconds": time.perf_counter() - start}
+    result = {"steps": step, "seconds": time.perf_counter() - begin}
     return result | ({"relative_error": mean**0.5} if step else {})
 
 
