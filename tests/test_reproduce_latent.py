@@ -42,6 +42,9 @@ def test_a_forecast_of_rest_has_the_squared_displacement_as_error(still):
     floor = sum((0.01 * n) ** 2 for n in (2, 3, 4, 6, 7)) * 29 / 30 / 5
     assert found["floor_mse"] == pytest.approx(floor, rel=1e-4)
     assert found["diverged_at"] is None
+    # The last given frame is one hundredth ahead of the undeformed body.
+    held_still = sum((0.01 * (n - 1)) ** 2 for n in range(2, 8)) * 29 / 30 / 8
+    assert found["still_mse"] == pytest.approx(held_still, rel=1e-4)
 
 
 def test_a_forecast_that_leaves_the_domain_has_no_error_and_is_counted(still):
@@ -59,7 +62,13 @@ def test_a_forecast_that_leaves_the_domain_has_no_error_and_is_counted(still):
 def forecast(*errors, diverged=()) -> dict:
     """What one forecaster left behind."""
     entries = [
-        {"rollout_mse": e, "relative_error": e, "floor_mse": 0.1, "diverged_at": None}
+        {
+            "rollout_mse": e,
+            "relative_error": e,
+            "floor_mse": 0.1,
+            "still_mse": 9.0,
+            "diverged_at": None,
+        }
         for e in errors
     ]
     for number in diverged:
@@ -67,22 +76,13 @@ def forecast(*errors, diverged=()) -> dict:
     return {"per_trajectory": entries, "steps": 10, "seconds": 2.0, "parameters": 7}
 
 
-def ours(*errors) -> dict:
-    """What ``Study.scores`` gives."""
-    mean = sum(errors) / len(errors)
-    full = {"rollout_mse": mean, "relative_displacement_error": 0.5, "static_mse": 9.0}
-    entries = [{"rollout_mse": e, "diverged_at": None} for e in errors]
-    known = {"diverged": 0, "trajectories": len(errors), "steps": 3, "seconds": 1.5}
-    return known | {"full": full, "per_trajectory": entries, "parameters": 19}
-
-
 def test_rows_compare_motion_by_motion_with_ours_and_count_what_diverged():
     """Twice the error everywhere is two times; a motion that diverged is in no mean."""
     scores = [forecast(2.0, 4.0), forecast(2.0, 9.0, diverged=[1])]
     names = {name: scores for name in latent.FORECASTERS}
-    rows = latent._system_rows("elastic3d", [ours(1.0, 2.0)], names)
+    rows = latent._system_rows("elastic3d", [forecast(1.0, 2.0)], names)
     mine, dino, still, colora = rows[0], rows[1], rows[-2], rows[-1]
-    assert (mine["rollout_mse"], mine["relative_error"], mine["diverged"]) == (1.5, 0.5, "0/2")
+    assert (mine["rollout_mse"], mine["relative_error"], mine["diverged"]) == (1.5, 1.5, "0/2")
     assert dino["rollout_mse"] == pytest.approx((3.0 + 2.0) / 2)
     assert dino["diverged"] == "1/4"
     assert dino["times_ours"].startswith("2 (2 to 2")

@@ -8,9 +8,11 @@ import itertools
 from typing import Any
 
 import torch
+from torch import Tensor
 
 from giorom.data.trajectory_file import iterate_trajectories
 from giorom.evaluation.metrics import relative_displacement_error, squared_error_per_frame
+from giorom.evaluation.rollout import roll_out
 from giorom.forecasters import (
     ForecasterConfig,
     ForecasterTrainingConfig,
@@ -18,11 +20,13 @@ from giorom.forecasters import (
     gather_motions,
     train_forecaster,
 )
+from giorom.pipeline import start_from_trajectory
 from giorom.reproduce.compare import over_seeds, paired
 from giorom.reproduce.drawing import draw_systems
 from giorom.reproduce.report import Result
 from giorom.reproduce.study import Study, Trial
 from giorom.sampling import sample
+from giorom.simulator import Simulator
 from giorom.state import Trajectory
 
 TITLE = "Latent forecasters from the first frames, beside ours end to end"
@@ -62,7 +66,15 @@ def run(study: Study) -> Result:
     """Train and score the forecasters and ours on every system."""
     systems = TINY_SYSTEMS if study.scale.name == "tiny" else SYSTEMS
     ours = {s: [Trial(system=s, method="default", seed=n) for n in study.seeds] for s in systems}
-    study.train_all([trial for trials in ours.values() for trial in trials])
+    study.train_all([trial for trials in ours.values() for trial in trials], score=False)
+    mine = [
+        {"system": s, "seed": t.seed, "trial": study.folder(t).name}
+        for s, trials in ours.items()
+        for t in trials
+    ]
+    rolled: dict[str, list[dict[str, Any]]] = {}
+    for key, scores in zip(mine, study.kept_all("end to end", mine, score_ours), strict=True):
+        rolled.setdefault(key["system"], []).append(scores)
     keys = [
         {
             "system": system,
@@ -80,8 +92,7 @@ def run(study: Study) -> Result:
         found.setdefault((key["system"], key["name"]), []).append(scores)
     rows: list[dict[str, Any]] = []
     for system in systems:
-        mine = [study.scores(trial) for trial in ours[system]]
-        rows += _system_rows(system, mine, {n: found[system, n] for n in FORECASTERS})
+        rows += _system_rows(system, rolled[system], {n: found[system, n] for n in FORECASTERS})
 
     def draw(figure: Any) -> None:
         draw_systems(figure, rows, value="rollout_mse", label="MSE, all particles [m²]")
@@ -136,11 +147,11 @@ def score_forecaster(study: Study, key: dict[str, Any]) -> dict[str, Any]:
 def score_forecast(
     forecaster: LatentForecaster,
     trajectory: Trajectory,
-    samples: torch.Tensor,
+    samples: Tensor,
     *,
     history: int,
 ) -> dict[str, Any]:
-    """Errors of the forecast of one motion, counted as those of a rollout.
+    """Errors of the forecast of one motion.
 
     Args:
         forecaster: A trained forecaster.
@@ -149,33 +160,89 @@ def score_forecast(
         history: Number of given frames.
 
     Returns:
-        ``rollout_mse`` with the given frames, ``relative_error``, ``floor_mse`` of the true frames
-        encoded and decoded, and the frame of divergence, if any.
+        What ``score_motion`` gives, and ``floor_mse`` of true frames encoded and decoded.
     """
-    position, body = trajectory.position, trajectory.position[0]
-    truth, held = position[history:], trajectory.kinematic
+    position, body, held = trajectory.position, trajectory.position[0], trajectory.kinematic
     found = forecaster.forecast(
-        body[samples], position[:history, samples], body, frames=len(truth), held=held
+        body[samples],
+        position[:history, samples],
+        body,
+        frames=len(position) - history,
+        held=held,
     )
     frames = torch.linspace(history, len(position) - 1, 5).round().long().unique().tolist()
     codes = [forecaster.encode(body[samples], position[n - 1 : n + 1, samples]) for n in frames]
     floor = torch.where(held[:, None], body, forecaster.decode(torch.stack(codes), body))
+    error = squared_error_per_frame(floor, position[frames])
+    return score_motion(found, trajectory, history=history) | {"floor_mse": float(error.mean())}
+
+
+def score_motion(found: Tensor, trajectory: Trajectory, *, history: int) -> dict[str, Any]:
+    """Errors of all particles at all frames, counted as those of a rollout.
+
+    Args:
+        found: Positions at the frames after the given ones [m].
+        trajectory: The true motion.
+        history: Number of given frames.
+
+    Returns:
+        ``rollout_mse`` with the given frames, ``relative_error``, ``still_mse`` of a body that
+        stays as it was given, and the frame of divergence, if any.
+    """
+    position, truth = trajectory.position, trajectory.position[history:]
+    still = squared_error_per_frame(position[history - 1].expand_as(truth), truth)
     scores = {
-        "floor_mse": float(squared_error_per_frame(floor, position[frames]).mean()),
         "diverged_at": _diverged(found, trajectory.bounds),
+        "still_mse": float(still.sum()) / len(position),
     }
     if scores["diverged_at"] is not None:
         return scores | {"rollout_mse": None, "relative_error": None}
-    error = squared_error_per_frame(found, truth)
-    start = position[:1]
+    error, start = squared_error_per_frame(found, truth), position[:1]
     relative = relative_displacement_error(torch.cat([start, found]), torch.cat([start, truth]))
-    return scores | {
-        "rollout_mse": float(error.sum()) / len(position),
-        "relative_error": relative,
-    }
+    return scores | {"rollout_mse": float(error.sum()) / len(position), "relative_error": relative}
 
 
-def _diverged(found: torch.Tensor, bounds: torch.Tensor) -> int | None:
+def score_ours(study: Study, key: dict[str, Any]) -> dict[str, Any]:
+    """Roll out one of our models on the test motions and recover all particles.
+
+    Less than ``Study.scores`` measures, whose distances between whole clouds take minutes.
+
+    Args:
+        study: Keeps the models.
+        key: ``system`` and ``seed``.
+    """
+    trial = Trial(system=key["system"], method="default", seed=key["seed"])
+    record, scores = study.training(trial), []
+    run = study.run_of(trial)
+    simulator = None if run is None else Simulator.from_pretrained(run)
+    for trajectory in iterate_trajectories(study.dataset(key["system"]), "test"):
+        if simulator is None:
+            scores.append(
+                {"rollout_mse": None, "relative_error": None, "still_mse": None, "diverged_at": 1}
+            )
+            continue
+        history = simulator.config.features.history
+        samples = simulator.sample(trajectory.position[0])
+        truth = trajectory.position[history:]
+        rolled = roll_out(
+            start_from_trajectory(trajectory, samples, history=history),
+            len(truth),
+            connect=simulator.connect,
+            step=simulator.dynamics.step,
+            prescribed=truth[:, samples],
+        )
+        held = trajectory.kinematic
+        decode = simulator.decoder(trajectory.position[0], held, samples=samples)
+        found = torch.stack([decode(frame) for frame in rolled.position])
+        found = torch.where(held[:, None], truth, found)
+        lost = {"rollout_mse": None, "relative_error": None, "diverged_at": rolled.diverged_at}
+        scores.append(score_motion(found, trajectory, history=history))
+        scores[-1] |= {} if rolled.diverged_at is None else lost
+    kept = {name: record[name] for name in ("steps", "seconds", "parameters")}
+    return kept | {"per_trajectory": scores}
+
+
+def _diverged(found: Tensor, bounds: Tensor) -> int | None:
     """First frame that is not finite or has a point further outside than the domain is wide."""
     extent = bounds[:, 1] - bounds[:, 0]
     inside = (found >= bounds[:, 0] - extent) & (found <= bounds[:, 1] + extent)
@@ -187,40 +254,30 @@ def _system_rows(
     system: str, ours: list[dict[str, Any]], found: dict[str, list[dict[str, Any]]]
 ) -> list[dict[str, Any]]:
     """Ours, the forecasters, holding still, and what cannot be compared."""
-    rows = [_our_row(system, ours)]
+    rows = [{"system": system, "name": "default", "method": "ours, end to end"} | _columns(ours)]
     for name, scores in found.items():
-        rows.append({"system": system, "name": name, "method": FORECASTERS[name][0]})
-        sound = [s for score in scores for s in score["per_trajectory"]]
-        for column in ("rollout_mse", "relative_error", "floor_mse"):
-            rows[-1] |= over_seeds(column, [_mean(score, column) for score in scores])
-        lost = sum(s["diverged_at"] is not None for s in sound)
-        rows[-1] |= {
-            "diverged": f"{lost}/{len(sound)}",
-            "steps": over_seeds("steps", [float(s["steps"]) for s in scores])["steps"],
-            "seconds": over_seeds("seconds", [s["seconds"] for s in scores])["seconds"],
-            "parameters": scores[0]["parameters"],
-        }
         difference = paired(scores, ours, key="rollout_mse")
-        rows[-1] |= difference | {"times_ours": _interval(difference)}
-    still = [s["full"]["static_mse"] for s in ours if s["full"] is not None]
+        rows.append({"system": system, "name": name, "method": FORECASTERS[name][0]})
+        rows[-1] |= _columns(scores) | difference | {"times_ours": _interval(difference)}
+    still = [_mean(scores[0], "still_mse") for scores in found.values()]
     rows.append({"system": system, "name": "still", "method": "holding still"})
-    rows[-1] |= over_seeds("rollout_mse", still)
+    rows[-1] |= over_seeds("rollout_mse", still[:1])
     rows.append({"system": system, "name": "colora", "method": "CoLoRA: not applicable"})
     return rows
 
 
-def _our_row(system: str, ours: list[dict[str, Any]]) -> dict[str, Any]:
-    row: dict[str, Any] = {"system": system, "name": "default", "method": "ours, end to end"}
-    names = {"rollout_mse": "rollout_mse", "relative_error": "relative_displacement_error"}
-    for column, key in names.items():
-        values = [None if s["full"] is None else s["full"][key] for s in ours]
-        row |= over_seeds(column, values)
-    lost, count = sum(s["diverged"] for s in ours), sum(s["trajectories"] for s in ours)
+def _columns(scores: list[dict[str, Any]]) -> dict[str, Any]:
+    """Means over trainings, and what each row has to say beside."""
+    row: dict[str, Any] = {}
+    for column in ("rollout_mse", "relative_error", "floor_mse"):
+        row |= over_seeds(column, [_mean(score, column) for score in scores])
+    motions = [motion for score in scores for motion in score["per_trajectory"]]
+    lost = sum(motion["diverged_at"] is not None for motion in motions)
     return row | {
-        "diverged": f"{lost}/{count}",
-        "steps": _average([s["steps"] for s in ours]),
-        "seconds": _average([s["seconds"] for s in ours]),
-        "parameters": next((s["parameters"] for s in ours if s["parameters"]), None),
+        "diverged": f"{lost}/{len(motions)}",
+        "steps": _average([score["steps"] for score in scores]),
+        "seconds": _average([score["seconds"] for score in scores]),
+        "parameters": next((s["parameters"] for s in scores if s["parameters"]), None),
     }
 
 
@@ -231,7 +288,7 @@ def _average(values: list[Any]) -> float | None:
 
 def _mean(score: dict[str, Any], column: str) -> float | None:
     """Mean over the test motions that did not diverge."""
-    return _average([s[column] for s in score["per_trajectory"]])
+    return _average([motion.get(column) for motion in score["per_trajectory"]])
 
 
 def _interval(difference: dict[str, Any]) -> str | None:
