@@ -27,7 +27,7 @@ from torch import Tensor
 from giorom.evaluation.metrics import squared_error_per_frame
 from giorom.evaluation.stopwatch import synchronize
 from giorom.mpm import Scene, SimulationError, SolverConfig
-from giorom.mpm.similar import on_cells
+from giorom.mpm.similar import Similar, on_cells
 from giorom.mpm.simulate import Run, chosen_substeps
 from giorom.pipeline import Decode
 from giorom.state import Trajectory
@@ -115,8 +115,7 @@ def run_coarse(
             are taken as they are, fewer too.
         device: ``cpu`` or ``cuda``.
     """
-    points = scene if samples is None else seeded_at(scene, samples)
-    similar = on_cells(points, grid_cells=solver.grid_cells, coarsening=coarsening)
+    similar = _on_grid(scene, solver, samples=samples, coarsening=coarsening)
     own = replace(solver, grid_cells=similar.grid_cells, substeps=substeps)
     run = Run(similar.scene, own, device=device, obey_rules=False)
     positions, seconds, diverged_at = [], [], None
@@ -202,11 +201,21 @@ def rules_substeps(
     coarsening: float = 1.0,
 ) -> int:
     """Fewest substeps of a frame that the time-step rules allow a coarse run."""
-    points = scene if samples is None else seeded_at(scene, samples)
-    similar = on_cells(points, grid_cells=solver.grid_cells, coarsening=coarsening)
+    similar = _on_grid(scene, solver, samples=samples, coarsening=coarsening)
     return chosen_substeps(
         similar.scene, replace(solver, grid_cells=similar.grid_cells, substeps=None)
     )
+
+
+def _on_grid(
+    scene: Scene, solver: SolverConfig, *, samples: Int[Tensor, " q"] | None, coarsening: float
+) -> Similar:
+    """The material points of a run on its grid; the full-order grid itself without coarsening."""
+    points = scene if samples is None else seeded_at(scene, samples)
+    if coarsening != 1.0:
+        return on_cells(points, grid_cells=solver.grid_cells, coarsening=coarsening)
+    corner = torch.zeros(scene.position.shape[1], dtype=torch.float64)
+    return Similar(scene=points, grid_cells=solver.grid_cells, factor=1.0, origin=corner)
 
 
 def sparse_error(run: SolverRun, truth: Trajectory, samples: Int[Tensor, " q"] | None) -> float:
