@@ -6,10 +6,11 @@ from dataclasses import replace
 import pytest
 import torch
 
-from benchmarks.accuracy.discretisation import KEPT, _row, measure_discretisation, widened
+from benchmarks.accuracy.discretisation import KEPT, _row, measure_discretisation
 from benchmarks.accuracy.noise_floor import measure_noise_floor
 from benchmarks.accuracy.stability import measure_stability
 from giorom.data.trajectory_file import read_trajectory
+from giorom.evaluation.discretisation import widened
 from giorom.pipeline import integrated, start_from_trajectory
 
 

@@ -85,9 +85,12 @@ def test_a_data_set_of_other_scenes_is_another_one(study):
     fewer = replace(study.scale, systems={"elastic3d": replace(small, trajectories=2)})
     sparser = replace(small, changes=small.changes | {"sampling": {"count": 10, "reduction": None}})
     other = replace(study.scale, systems={"elastic3d": sparser})
-    folders = [replace(study, scale=scale)._data_key for scale in (study.scale, fewer, other)]
     experiment = study.experiment("elastic3d")
-    names = [key(experiment, count) for key, count in zip(folders, (3, 2, 3), strict=True)]
+    asked = ((study.scale, 3), (fewer, 2), (other, 3))
+    names = [
+        replace(study, scale=scale)._data_key(experiment, trajectories=count)
+        for scale, count in asked
+    ]
     assert names[0] == names[2] != names[1]
 
 

@@ -1,20 +1,14 @@
-"""One model at other numbers of samples and on shapes it never saw (Table 2 of the paper).
-
-Fewer samples than in training: the graph radius and its unit, or the spacing of the grid, grow
-with the distance between samples, because what connects them would fall apart otherwise. More
-samples: all stays as trained, so that each sample sees the same neighbourhood, more densely filled.
-"""
+"""One model at other numbers of samples and on shapes it never saw (Table 2 of the paper)."""
 
 import math
 import tempfile
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import replace
 from pathlib import Path
 from statistics import fmean, stdev
 from typing import Any
 
-from giorom.evaluation.evaluate import evaluate_trajectory
+from giorom.evaluation.discretisation import at_density, evaluate_at_density
 from giorom.evaluation.machine import describe_machine
 from giorom.generate.held_out import held_out_trajectories, make_held_out
 from giorom.simulator import Simulator
@@ -84,40 +78,12 @@ def measure_discretisation(
     }
 
 
-def widened(simulator: Simulator, factor: float) -> Simulator:
-    """The same weights with a graph radius, which is the unit of the features, or a grid wider.
-
-    Args:
-        simulator: The model.
-        factor: New over trained length.
-    """
-    config = simulator.config
-    graph = replace(config.graph, radius=factor * config.graph.radius)
-    grid = config.grid_stepper
-    if grid is not None:
-        grid = replace(grid, spacing=factor * grid.spacing)
-    # The grid of a body has nothing to do with the number of samples.
-    changed = Simulator(replace(config, graph=graph, grid_stepper=grid))
-    changed.load_state_dict(simulator.state_dict())
-    return changed.eval().requires_grad_(False)
-
-
 def _scored(
     simulator: Simulator, trajectories: Iterable[Trajectory], factor: float, *, frames: int | None
 ) -> list[dict[str, Any]]:
     """Scores of every trajectory at another number of samples."""
-    config = simulator.config
-    if factor < 1.0:
-        simulator = widened(simulator, factor ** (-1.0 / config.dimension))
-    results = []
-    for trajectory in trajectories:
-        points = trajectory.position.shape[1]
-        count = max(1, min(points, round(factor * config.sampling.sample_count(points))))
-        results.append(
-            evaluate_trajectory(simulator, trajectory, frames=frames, sparse_points=count)
-            | {"radius": simulator.config.graph.radius}
-        )
-    return results
+    simulator = at_density(simulator, factor)
+    return [evaluate_at_density(simulator, t, factor, frames=frames) for t in trajectories]
 
 
 def _row(setting: str, results: list[dict[str, Any]]) -> dict[str, Any]:

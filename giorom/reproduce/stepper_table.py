@@ -116,7 +116,7 @@ def _system_rows(
         for key in MORE:
             row |= over_seeds(key, [_of(score, key) for score in found])
         against = paired(found if method != "default" else [], ours)
-        row |= {_relative(key): value for key, value in against.items()}
+        row |= {relative(key): value for key, value in against.items()}
         row |= _equal_columns(study, equal.get(method)) | chosen_pair(trials[method][0])
         row |= with_ratio(row["rollout_mse"], paper.get(method))
         rows.append(row)
@@ -157,7 +157,7 @@ def _of(score: dict[str, Any], key: str) -> float | None:
     return None if score["sparse"] is None else score["sparse"].get(key)
 
 
-def _relative(key: str) -> str:
+def relative(key: str) -> str:
     """Column of a paired comparison with ours: ``times_low`` becomes ``times_ours_low``."""
     first, *rest = key.split("_")
     return "_".join([first, "ours", *rest])

@@ -95,26 +95,34 @@ class Study:
             self.experiment(system), trajectories=self._system(system).trajectories
         )
 
-    def dataset_of(self, experiment: Experiment, *, trajectories: int) -> Path:
+    def dataset_of(
+        self,
+        experiment: Experiment,
+        *,
+        trajectories: int,
+        seed: int = 0,
+        shape: str | None = None,
+    ) -> Path:
         """A data set of some scenes, made if it is not there.
 
         Args:
             experiment: Scenes and solver.
             trajectories: How many.
+            seed: Seed of the scenes; data for training have 0.
+            shape: Shape in place of the drawn ones.
         """
-        folder = self.shared / "data" / self._data_key(experiment, trajectories)
+        scenes: dict[str, Any] = {"trajectories": trajectories, "seed": seed, "shape": shape}
+        folder = self.shared / "data" / self._data_key(experiment, **scenes)
         done = folder.with_name(f"{folder.name}.json")
         if done.is_file() and (folder / "metadata.json").is_file():
             return folder
         made = generate(
             experiment,
             folder=folder,
-            trajectories=trajectories,
-            seed=0,
             jobs=self.jobs,
-            shape=None,
             device="cpu",
             report=partial(self.report, f"simulate {experiment.system}"),
+            **scenes,
         )
         write_json(done, made)
         return folder
@@ -190,6 +198,8 @@ class Study:
         """
         record = self.training(trial)
         options = _score_options(sparse_points=sparse_points, frames=frames, where=where, full=full)
+        if not full and self._has_scores(trial, options | {"full": True}):
+            options["full"] = True
         data = self.dataset(trial.system)
 
         def make() -> dict[str, Any]:
@@ -278,7 +288,9 @@ class Study:
         system = self._system(trial.system)
         return identity_of(
             self._experiment_of(trial),
-            data_key=self._data_key(self.experiment(trial.system), system.trajectories),
+            data_key=self._data_key(
+                self.experiment(trial.system), trajectories=system.trajectories
+            ),
             budget=self._budget(trial),
             seed=trial.seed,
             device=self.device,
@@ -300,19 +312,27 @@ class Study:
         folder = self.folder(trial)
         if not (folder / "trained.json").is_file():
             return False
-        key = {"trial": folder.name, **_score_options(full=full)}
-        return not score or self._kept_path("scores", key).is_file()
+        asked = [_score_options(full=True), _score_options(full=full)]
+        return not score or any(self._has_scores(trial, options) for options in asked)
+
+    def _has_scores(self, trial: Trial, options: dict[str, Any]) -> bool:
+        key = {"trial": self.folder(trial).name, **options}
+        return self._kept_path("scores", key).is_file()
 
     def _kept_path(self, name: str, key: dict[str, Any]) -> Path:
         safe = re.sub(r"[^A-Za-z0-9-]", "-", name)
         known = {"key": key, "scale": self.scale.name, "giorom": __version__}
         return self.shared / "kept" / f"{safe}-{_hash(known)}.json"
 
-    def _data_key(self, experiment: Experiment, trajectories: int) -> str:
+    def _data_key(
+        self, experiment: Experiment, *, trajectories: int, seed: int = 0, shape: str | None = None
+    ) -> str:
         content = {
             "scene": asdict(experiment.scene),
             "solver": asdict(experiment.solver),
             "trajectories": trajectories,
+            "seed": seed,
+            "shape": shape,
             "giorom": __version__,
         }
         return f"{experiment.system}-{_hash(content)}"
