@@ -82,6 +82,34 @@ def train_briefly(tiny, data_folder, tmp_path):
     return run
 
 
+def test_the_precision_is_that_of_one_training_and_of_its_steps_alone(train_briefly):
+    """Two precisions in one process; what is validated and kept computes as the stored one does.
+
+    Reference: the same weights in a simulator that was never trained.
+    """
+    for precision in ("bfloat16", "float32"):
+        training = train_briefly(precision=precision, average_decay=0.0)
+        fresh = train_briefly(precision="float32").plain
+        fresh.load_state_dict(training.plain.state_dict())
+        state = training.windows[0].state
+        edges = training.connect(state)
+        with torch.no_grad():
+            expected = fresh(state, edges)
+            assert torch.equal(training.chosen()(state, edges), expected)
+            assert torch.equal(training.plain(state, edges), expected)
+
+
+def test_half_precision_changes_what_is_learnt_by_little(train_briefly):
+    """bfloat16 keeps 8 bits; the same seed and windows."""
+    name = "time_stepper.node_out.layers.0.weight"
+    half, single = (
+        train_briefly(precision=precision).plain.state_dict()[name]
+        for precision in ("bfloat16", "float32")
+    )
+    assert not torch.equal(half, single)
+    torch.testing.assert_close(half, single, rtol=0, atol=0.02 * float(single.abs().max()))
+
+
 def test_without_average_the_newest_weights_are_validated_and_kept(train_briefly):
     """average_decay 0: the averaged model is the model; with an average it lags behind."""
     for decay, equal in ((0.0, True), (0.5, False)):
