@@ -1,6 +1,7 @@
 """What is said about several trainings: means over seeds, paired differences, intervals."""
 
 import math
+from collections.abc import Sequence
 from statistics import fmean
 from typing import Any
 
@@ -13,7 +14,7 @@ COVERAGE = 0.95
 """Share of the bootstrap samples inside an interval."""
 
 
-def over_seeds(name: str, values: list[float | None]) -> dict[str, float | None]:
+def over_seeds(name: str, values: Sequence[float | int | None]) -> dict[str, float | int | None]:
     """Mean and range of a number over trainings: ``name``, ``name_min``, ``name_max``.
 
     Args:

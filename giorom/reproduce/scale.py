@@ -130,7 +130,7 @@ def _tiny() -> Scale:
         own=own | {"body_stepper": {"spacing": 0.125, "height_spacing": 0.125}},
     )
     flat: dict[str, Any] = {
-        "scene": {"spacing": 0.02, "speed_range": [0.5, 0.6]},
+        "scene": {"spacing": 0.02, "speed_range": [0.5, 0.6], "spin_range": [3.0, 4.0]},
         "solver": {"frames": 14, "grid_cells": 30},
     }
     for system in SYSTEMS_2D:

@@ -26,6 +26,9 @@ from giorom.reproduce.workers import Task, run_tasks
 from giorom.training.training_config import Budget
 from giorom.version import __version__
 
+WORTH_PROCESSES = 8
+"""Trajectories for which it pays to start processes."""
+
 Report = Callable[[str, int, int], None]
 """Called with what is done now, how many tasks have ended and how many there are."""
 
@@ -119,7 +122,7 @@ class Study:
         made = generate(
             experiment,
             folder=folder,
-            jobs=self.jobs,
+            jobs=self.jobs if trajectories >= WORTH_PROCESSES else 1,
             device="cpu",
             report=partial(self.report, f"simulate {experiment.system}"),
             **scenes,
