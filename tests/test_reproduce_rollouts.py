@@ -104,8 +104,9 @@ def test_clouds_are_drawn_at_equal_scales_within_their_walls():
 
     figure = Figure()
     plane = figure.add_subplot(1, 2, 1)
-    draw_cloud(plane, [[0.5, 0.5]], bounds=[[0.1, 0.9], [0.1, 0.9]], pairs=[])
+    draw_cloud(plane, [[0.5, 0.5], [0.5, -3.0]], bounds=[[0.1, 0.9], [0.1, 0.9]], pairs=[])
     assert plane.get_aspect() == 1.0
+    assert [text.get_text() for text in plane.texts] == ["1 of 2 outside"]
     assert [patch.get_bbox().bounds for patch in plane.patches] == [
         pytest.approx((0.1, 0.1, 0.8, 0.8))
     ]

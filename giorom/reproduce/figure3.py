@@ -232,7 +232,7 @@ def _drawing(panels: list[dict[str, Any]]) -> Callable[[Any], None]:
             mse = row.get("rollout_mse")
             ending = f"frame {panel['frame']}"
             if row.get("diverged_at") is not None:
-                ending = f"diverged at frame {row['diverged_at']}"
+                ending = f"diverged at step {row['diverged_at']}"
             elif mse is not None:
                 ending += f", rollout MSE {mse:.2g} m$^2$"
             draw_cloud(last, _cloud(end), title=ending, **options)

@@ -114,7 +114,7 @@ def _drawing(shown: list[dict[str, Any]]) -> Callable[[Any], None]:
                 row, frame = one["row"], one["frames"][number]
                 title = f"radius {row['radius']:g} m, frame {frame}"
                 if row["diverged_at"] is not None:
-                    title += f"\ndiverged at frame {row['diverged_at']}"
+                    title += f"\ndiverged at step {row['diverged_at']}"
                 options = {"bounds": one["bounds"], "color": PREDICTED}
                 draw_cloud(axes, one["clouds"][number], title=title, **options)
             if known:

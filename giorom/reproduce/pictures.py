@@ -7,8 +7,8 @@ import numpy as np
 TRUE, PREDICTED, LINE, WALL = "#1f3b73", "#c1440e", "#9a9a9a", "#202020"
 """Colours of the solver's points, of a model's, of edges and of walls."""
 
-MARGIN = 0.03
-"""Space around the walls, in units of the domain."""
+MARGIN = 0.12
+"""Space around the walls [m], in which points that have left the domain are still seen."""
 
 
 def draw_cloud(
@@ -21,7 +21,9 @@ def draw_cloud(
     color: str = PREDICTED,
     size: float = 4.0,
 ) -> None:
-    """Draw a plane cloud within its walls, at equal scales, and the edges of its graph.
+    """Draw a plane cloud and its walls, at equal scales, and the edges of its graph.
+
+    What lies far outside the walls is counted, not drawn.
 
     Args:
         axes: Axes of matplotlib.
@@ -45,6 +47,10 @@ def draw_cloud(
     axes.add_patch(Rectangle(corner, width, height, fill=False, color=WALL, linewidth=1.0))
     axes.set_xlim(left - MARGIN, right + MARGIN)
     axes.set_ylim(bottom - MARGIN, top + MARGIN)
+    beyond = int(((cloud < walls[:, 0] - MARGIN) | (cloud > walls[:, 1] + MARGIN)).any(1).sum())
+    if beyond:
+        place = {"x": 0.5, "y": 0.5, "transform": axes.transAxes, "ha": "center", "fontsize": 7}
+        axes.text(s=f"{beyond} of {len(cloud)} outside", **place)
     axes.set_aspect("equal")
     axes.set_xticks([])
     axes.set_yticks([])

@@ -204,7 +204,7 @@ def _notes(rows: list[dict[str, Any]]) -> list[str]:
         "`features in`: the official code measures the features in the radius of the graph, so "
         "that another radius changes the graph and the scale of all inputs; with the trained "
         "radius the graph alone changes.",
-        "The paper's spacings are hundreds of times smaller than the distance of its samples; "
+        "The paper's spacings are far below the distance of its samples; "
         "`squared spacing` is what its column would be as a squared distance, which is a guess. "
         "The material is not stated; its helpers stand beside the two-dimensional water.",
     ]

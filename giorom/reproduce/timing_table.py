@@ -4,6 +4,7 @@ from collections.abc import Callable
 from itertools import groupby
 from typing import Any
 
+from giorom.evaluation.stage_speed import FEWEST_STEPS
 from giorom.reproduce.study import Study
 from giorom.reproduce.timing import ROLLOUT, SIZES
 
@@ -94,12 +95,14 @@ def timing_notes(study: Study) -> list[str]:
         "what a step allocates on the GPU beyond what was allocated before it"
         if study.device == "cuda"
         else "the growth of the process' resident memory to its high-water mark (VmHWM, set back "
-        "before the step) during the first step of a process that has done nothing before"
+        "before the step) during the first step of a process that has done nothing before; that "
+        "of the grid stepper is mostly its kernels being loaded"
     )
     return [
         f"Seconds are those of {ROLLOUT} steps: {ROLLOUT} times the median over the timed steps "
-        f"(column `steps timed`: up to {size.steps}, fewer where one takes long); in brackets "
-        f"fastest and slowest step; one step in advance is not counted. The steps start from "
+        f"(column `steps timed`: up to {size.steps}; fewer, but at least "
+        f"{min(FEWEST_STEPS, size.steps)}, where one takes long); in brackets fastest and slowest "
+        f"step; one step in advance is not counted. The steps start from "
         f"frames spread evenly over {size.frames} frames of the solver's motion. Float32, batch "
         f"of one, {study.jobs} thread(s), device {study.device}, eager; graphs are built on the "
         f"way, nothing is written. `network` contains the features.",
