@@ -81,7 +81,6 @@ class PodField(Field):
     cell: Tensor
     mode: Tensor
     mean: Tensor
-    spread: Tensor
 
     def __init__(self, config: PodConfig, *, dimension: int) -> None:
         super().__init__(dimension=dimension)
@@ -91,7 +90,6 @@ class PodField(Field):
         self.register_buffer("cell", torch.ones(dimension))
         self.register_buffer("mode", torch.zeros(shape))
         self.register_buffer("mean", torch.zeros(shape[:2]))
-        self.register_buffer("spread", torch.ones(config.modes))
 
     def prepare(self, trajectories: list[Trajectory]) -> None:
         """Decompose snapshots of the training motions.
@@ -122,8 +120,6 @@ class PodField(Field):
             self.mean.copy_(mean.unflatten(0, (-1, self.dimension)))
         modes = gappy_modes(snapshots, mask, self.config.modes, sweeps=self.config.sweeps)
         self.mode.copy_(modes.unflatten(0, (-1, self.dimension)))
-        spread = (modes.T @ snapshots).square().mean(dim=1).sqrt()
-        self.spread.copy_(spread)
 
     def _snapshots(self, trajectory: Trajectory, frames: int) -> tuple[Tensor, Tensor]:
         """Displacements of the nodes at some frames, and which rows are within the body."""

@@ -25,6 +25,9 @@ from giorom.state import Trajectory
 SMALLEST = 1e-2
 """Least unit of a coefficient, relative to the largest."""
 
+POINTS = 500
+"""Points of a training body that show how large its coefficients are, about."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class PodAutoencoderConfig:
@@ -48,7 +51,7 @@ class PodAutoencoderConfig:
     snapshots: int = 512
     """Most training frames that are decomposed; see ``PodConfig``."""
 
-    ridge: float = 1e-4
+    ridge: float = 1e-3
     """Regularisation of the normal equations; there may be more modes than samples."""
 
     def __post_init__(self) -> None:
@@ -80,28 +83,43 @@ class PodAutoencoderField(Field):
         as in Fresca and Manzoni, "POD-DL-ROM", Comput. Methods Appl. Mech. Eng. 388, 2022.
     """
 
+    spread: Tensor
+
     def __init__(self, config: PodAutoencoderConfig, *, dimension: int) -> None:
         super().__init__(dimension=dimension)
         self.config = config
+        self.register_buffer("spread", torch.ones(config.modes))
         self.pod = PodField(config.basis(), dimension=dimension)
         inner = [config.width] * config.depth
         self.encoder = _perceptron([config.modes, *inner, config.latent], bias=True)
         self.decoder = _perceptron([config.latent, *inner, config.modes], bias=False)
 
     def prepare(self, trajectories: list[Trajectory]) -> None:
-        """Decompose snapshots of the training motions; see ``PodField.prepare``."""
+        """Decompose snapshots of the training motions, and see how large coefficients are.
+
+        Those of bodies that fill a part of the grid follow from their points, as in use.
+        """
         self.pod.prepare(trajectories)
+        squares = []
+        for trajectory in trajectories:
+            points = trajectory.position[:, :: max(1, trajectory.position.shape[1] // POINTS)]
+            solver = SampleSolver(self.pod.basis(points[0]), ridge=self.config.ridge)
+            squares.append(solver.solve(points[1:] - points[0]).square().mean(dim=0))
+        spread = torch.stack(squares).mean(dim=0).sqrt()
+        # What hardly occurs in training is not blown up to the size of what does.
+        self.spread.copy_(spread.clamp_min(SMALLEST * float(spread.max().clamp_min(1e-12))))
+
+    def scaled_basis(self, reference: Float[Tensor, "p d"]) -> Float[Tensor, "p d m"]:
+        """Modes in units of what their coefficients are in training.
+
+        Ridge regression in these units prefers the usual where the samples leave a choice.
+        """
+        return self.pod.basis(reference) * self.spread
 
     def compressed(self, coefficient: Float[Tensor, "*t m"]) -> Float[Tensor, "*t m"]:
-        """The coefficients after the bottleneck."""
-        spread = self.pod.spread
-        # What hardly occurs in training is not blown up to the size of what does.
-        spread = spread.clamp_min(SMALLEST * float(spread.max().clamp_min(1e-12)))
-        scaled = coefficient / spread
-        found, rest = (
-            self.decoder(self.encoder(value)) for value in (scaled, torch.zeros_like(scaled))
-        )
-        return spread * (found - rest)
+        """The scaled coefficients after the bottleneck."""
+        rest = self.decoder(self.encoder(torch.zeros_like(coefficient)))
+        return self.decoder(self.encoder(coefficient)) - rest
 
     def loss(
         self,
@@ -111,7 +129,7 @@ class PodAutoencoderField(Field):
         solve_count: int,
     ) -> Float[Tensor, ""]:
         """Relative error of the points that are not samples; see ``Field.loss``."""
-        basis = self.pod.basis(reference)
+        basis = self.scaled_basis(reference)
         solver = SampleSolver(basis[:solve_count], ridge=self.config.ridge)
         coefficient = solver.solve(displacement[:, :solve_count]).to(basis.dtype)
         found = torch.einsum("pdm,tm->tpd", basis[solve_count:], self.compressed(coefficient))
@@ -155,8 +173,8 @@ class PodAutoencoderDecoder(FieldDecoder):
         super().__init__(reference, query, held=held)
         self.field = field
         with torch.no_grad():
-            self.solver = SampleSolver(field.pod.basis(reference), ridge=field.config.ridge)
-            self.basis = field.pod.basis(query).flatten(0, 1)
+            self.solver = SampleSolver(field.scaled_basis(reference), ridge=field.config.ridge)
+            self.basis = field.scaled_basis(query).flatten(0, 1)
 
     def recover(self, position: Float[Tensor, "q d"]) -> Float[Tensor, "p d"]:
         """X + the displacement of the compressed coefficients."""

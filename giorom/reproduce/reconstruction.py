@@ -24,7 +24,7 @@ from giorom.reproduce.scale import Scale
 from giorom.reproduce.study import Study
 from giorom.sampling import SamplingConfig, sample
 from giorom.state import Trajectory
-from giorom.training.field_loop import thin, train_field
+from giorom.training.field_loop import FieldTrainingConfig, thin, train_field
 from giorom.training.training_config import Budget
 
 SHARE = 3 / 8
@@ -147,7 +147,7 @@ def _scores_of(
     """Train one field and score it; ``problem`` says why there is none, if so."""
     torch.manual_seed(seed)
     made = build_field(config, dimension=experiment.scene.dimension)
-    training = replace(experiment.field_training, steps=budget.steps or 10**7)
+    training = _training(experiment, motions["train"], budget)
     try:
         result = train_field(
             made,
@@ -170,6 +170,15 @@ def _scores_of(
     parameters = sum(p.numel() for p in made.parameters())
     kept = {"seconds": result["seconds"], "steps": result["steps"], "parameters": parameters}
     return kept | {"problem": None} | scores
+
+
+def _training(
+    experiment: Experiment, motions: list[Trajectory], budget: Budget
+) -> FieldTrainingConfig:
+    """How fields are trained: with as many samples as they are asked with later."""
+    counts = [experiment.sampling.sample_count(t.position.shape[1]) for t in motions]
+    samples = round(sum(counts) / len(counts))
+    return replace(experiment.field_training, samples=samples, steps=budget.steps or 10**7)
 
 
 def _samplings(config: SamplingConfig) -> list[tuple[str, SamplingConfig]]:

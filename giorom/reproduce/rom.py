@@ -122,7 +122,7 @@ def candidates(ranks: tuple[int, ...], grid: dict[str, int]) -> dict[str, Candid
         ),
         Candidate(
             name="crom-sine",
-            title="CROM, width 128, sine",
+            title="CROM, width 128, sine of frequency 1",
             kind="crom",
             settings=crom | {"activation": "sine"},
             rank=latent,
@@ -265,7 +265,8 @@ def _notes(study: Study, rows: list[dict[str, Any]]) -> list[str]:
     notes = [
         f"True samples in, all particles out; no time-stepper. Every field that learns had {time}, "
         f"of gradient descent; seconds count what is set in closed form too. No setting was tuned; "
-        f"ranks and sizes beside the first of a kind were trained with one seed.",
+        f"ranks and sizes beside the first of a kind were trained with one seed. In every step a "
+        f"field is trained with as many samples as it is asked with.",
         "relative error: root of summed squared errors over summed squared displacements of all "
         "particles at evenly spaced frames; mse: mean squared distance [m^2]; chamfer: mean "
         "squared distance to the nearest point, both ways added, full sets [m^2]. Samples of the "
