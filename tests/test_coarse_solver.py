@@ -126,6 +126,8 @@ def test_samples_take_over_the_mass_of_every_material():
     for index in range(2):
         own, fine = points.material_index == index, scene.material_index == index
         assert float(points.mass[own].sum()) == pytest.approx(float(scene.mass[fine].sum()))
+    alone = seeded_at(scene, samples[:1])
+    assert float(alone.volume) == pytest.approx(float(scene.volume.sum()))
     everything = seeded_at(scene, torch.arange(len(scene.position)))
     assert torch.equal(everything.volume, scene.volume)
 

@@ -10,6 +10,7 @@ from giorom.records import nearest
 
 TARGETS = {
     "solver": "particle-substeps per second of the material point method",
+    "pareto": "error against time: the models, their peers and the solver on one system",
 }
 """What can be timed."""
 

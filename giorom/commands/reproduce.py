@@ -7,7 +7,7 @@ that was stopped, however, goes on when it is given again.
 import argparse
 import importlib
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -46,11 +46,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
     """Make what is missing of one table or figure, or of all, and write its files."""
     ids = _chosen_ids(arguments.id)
-    study = _study(arguments)
-    with _going_on(arguments.out):
-        _mark(study)
-        with only_writer(study.shared):
-            return _write_all(arguments, ids, study)
+    study = open_study(arguments)
+    with writing(study):
+        return _write_all(arguments, ids, study)
 
 
 def _write_all(arguments: argparse.Namespace, ids: list[str], study: Study) -> dict[str, Any]:
@@ -80,6 +78,20 @@ def _write_all(arguments: argparse.Namespace, ids: list[str], study: Study) -> d
 def _write_one(arguments: argparse.Namespace, name: str, study: Study) -> dict[str, Any]:
     """Make one result; the keys of ``--json``."""
     module = importlib.import_module(f"giorom.reproduce.{name}")
+    return make_and_write(arguments, name, study, module.run)
+
+
+def make_and_write(
+    arguments: argparse.Namespace, name: str, study: Study, make: Callable[[Study], Result]
+) -> dict[str, Any]:
+    """Make a result with a bar, write its files and print its table; the keys of ``--json``.
+
+    Args:
+        arguments: Of the command.
+        name: What the bar says.
+        study: Where it is made.
+        make: Makes it.
+    """
     with progress_bar(arguments, total=0, unit="task", text=name) as bar:
 
         def report(text: str, done: int, total: int) -> None:
@@ -96,7 +108,7 @@ def _write_one(arguments: argparse.Namespace, name: str, study: Study) -> dict[s
             jobs=study.jobs,
             report=report,
         )
-        result: Result = module.run(own)
+        result = make(own)
         files = write_result(result, own)
     texts = [tuple(cell(row, column) for column in result.columns) for row in result.rows]
     print_table(arguments, result.title, texts, tuple(result.columns))
@@ -115,7 +127,7 @@ def _chosen_ids(name: str) -> list[str]:
     return [name]
 
 
-def _study(arguments: argparse.Namespace) -> Study:
+def open_study(arguments: argparse.Namespace) -> Study:
     """The study the arguments describe; refused before anything is written."""
     if arguments.scale not in SCALES:
         raise ValueError(
@@ -179,11 +191,14 @@ def _mark(study: Study) -> None:
 
 
 @contextmanager
-def _going_on(out: Path) -> Iterator[None]:
-    """Say what is kept, and how to go on, when the work is interrupted."""
+def writing(study: Study) -> Iterator[None]:
+    """Be the only one who writes to a folder; say how to go on when the work is interrupted."""
     try:
-        yield
+        _mark(study)
+        with only_writer(study.shared):
+            yield
     except KeyboardInterrupt:
         raise KeyboardInterrupt(
-            f"interrupted; what is finished is kept in {out}. Run the same command again to go on."
+            f"interrupted; what is finished is kept in {study.out}. Run the same command again to "
+            f"go on."
         ) from None

@@ -76,11 +76,12 @@ def seeded_at(scene: Scene, samples: Int[Tensor, " q"]) -> Scene:
         samples: Which particles remain.
     """
     position = scene.position.double().numpy()
+    chosen = position[samples.numpy()]
     kind = 2 * scene.material_index + scene.kinematic.long()
-    owner = torch.from_numpy(cKDTree(position[samples]).query(position)[1])
+    owner = torch.from_numpy(cKDTree(chosen).query(position)[1])
     for each in kind[samples].unique():
         own, members = kind == each, (kind[samples] == each).nonzero()[:, 0]
-        nearest = cKDTree(position[samples[members]]).query(position[own])[1]
+        nearest = cKDTree(chosen[members.numpy()]).query(position[own.numpy()])[1]
         owner[own] = members[torch.from_numpy(nearest)]
     volume = torch.zeros(len(samples), dtype=torch.float64)
     volume.index_add_(0, owner, scene.volume.double())
