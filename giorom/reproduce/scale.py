@@ -178,11 +178,15 @@ def _cpu() -> Scale:
         tuning_budget=Budget(minutes=0.1),
         candidates=((1e-3, 3e-4), (5e-4, 3e-5)),
         networks={
+            # A slow network does some hundred steps: the average must not remember the first ones,
+            # and a validation must not take more than a few of them.
             "training": {
-                "validations": 2,
-                "validation_frames": 40,
+                "validations": 1,
+                "validation_frames": 20,
                 "validation_trajectories": 2,
                 "subsets": 2,
+                "average_decay": 0.9,
+                "warmup": 5,
             }
         },
     )
