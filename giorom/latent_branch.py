@@ -21,7 +21,7 @@ from giorom.layers.aggregation import Grouping
 from giorom.layers.fourier_operator import FourierOperator
 from giorom.layers.grid_convolution import GridConvolution
 from giorom.layers.kernel_integral import KernelIntegral, PointPairs
-from giorom.layers.latent_grid import LatentGrid
+from giorom.layers.latent_grid import LatentGrid, widened
 from giorom.layers.mlp import MLP
 from giorom.layers.operator_attention import OperatorTransformer
 from giorom.layers.physics_attention import PhysicsTransformer
@@ -42,7 +42,7 @@ class LatentBranch(nn.Module):
         self.to_plane = nn.Linear(3, 2) if config.processor == "fourier_plane" else None
         axes = config.dimension if self.to_plane is None else 2
         self.grid = LatentGrid(
-            bounds=_widened(
+            bounds=widened(
                 config.latent_bounds if self.to_plane is None else [[-1.0, 1.0]] * 2,
                 config.latent_padding,
             ),
@@ -144,11 +144,6 @@ class LatentBranch(nn.Module):
             query_position=place,
             source_position=place,
         )
-
-
-def _widened(bounds: list[list[float]], share: float) -> list[list[float]]:
-    """Bounds that go farther on each side by a share of their width."""
-    return [[low - share * (high - low), high + share * (high - low)] for low, high in bounds]
 
 
 def _near(config: TimeStepperConfig) -> tuple[KernelIntegral, KernelIntegral]:

@@ -108,6 +108,20 @@ def test_repeating_every_source_changes_nothing(points, transform, kernel):
 
 
 @pytest.mark.parametrize("transform", ["linear", "nonlinear_kernelonly"])
+def test_a_sum_is_the_mean_times_the_number_of_sources(points, transform):
+    """What the library does from grid to particles."""
+    query, source, value = points
+    pairs, options = pairs_of(query, source), {"dimension": DIMENSION, "width_in": WIDTH}
+    summed = KernelIntegral(
+        [7, 6], width_out=WIDTH, transform=transform, reduction="sum", **options
+    )
+    mean = make(transform)
+    summed.load_state_dict(mean.state_dict())
+    count = pairs.query.count[:, None]
+    torch.testing.assert_close(summed(value, pairs), count * mean(value, pairs))
+
+
+@pytest.mark.parametrize("transform", ["linear", "nonlinear_kernelonly"])
 def test_an_empty_ball_gives_zero(points, transform):
     """The last query has no source in reach."""
     query, source, value = points

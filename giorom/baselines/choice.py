@@ -15,6 +15,7 @@ from typing import Any, Literal
 from torch import nn
 
 from giorom.baselines.gat import GAT, GATConfig
+from giorom.baselines.gino import GINO, GINOConfig
 from giorom.baselines.gnot import GNOT, GNOTConfig
 from giorom.baselines.gns import GNS, GNSConfig
 from giorom.baselines.ipot import IPOT, IPOTConfig
@@ -22,10 +23,13 @@ from giorom.baselines.linear import Linear, LinearConfig
 from giorom.baselines.operator import OperatorConfig, OperatorStepper
 from giorom.baselines.shape import NetworkShape
 from giorom.baselines.transolver import Transolver, TransolverConfig
+from giorom.baselines.unet import UNet, UNetConfig
 from giorom.features import FeatureConfig
 from giorom.records import parse_fields
 
-BaselineKind = Literal["linear", "gns", "gat", "gnot", "ipot", "transolver", "operator"]
+BaselineKind = Literal[
+    "linear", "gns", "gat", "gino", "gnot", "ipot", "transolver", "operator", "unet"
+]
 """Names of the kinds."""
 
 
@@ -60,6 +64,12 @@ class BaselineConfig:
     operator: OperatorConfig | None = None
     """The paper's operator transformer on the particles."""
 
+    gino: GINOConfig | None = None
+    """Kernel integrals to a grid with Fourier blocks and back."""
+
+    unet: UNetConfig | None = None
+    """A U-Net on a grid that the particles are spread on."""
+
     def __post_init__(self) -> None:
         """Reject a record that is missing or belongs to another kind."""
         given = [kind for kind in KINDS if getattr(self, kind) is not None]
@@ -79,14 +89,18 @@ KINDS: dict[str, type[nn.Module]] = {
     "linear": Linear,
     "gns": GNS,
     "gat": GAT,
+    "gino": GINO,
     "gnot": GNOT,
     "ipot": IPOT,
     "transolver": Transolver,
     "operator": OperatorStepper,
+    "unet": UNet,
 }
 """The network of each kind, made from its record and a ``NetworkShape``."""
 
-WITHOUT_EDGES: frozenset[str] = frozenset({"gnot", "ipot", "transolver", "operator"})
+WITHOUT_EDGES: frozenset[str] = frozenset(
+    {"gino", "gnot", "ipot", "transolver", "operator", "unet"}
+)
 """Kinds that read no edges: their graph is never built."""
 
 

@@ -58,7 +58,9 @@ class KernelIntegral(nn.Module):
     :math:`u(x) = \frac{1}{|B(x)|} \sum_{y \in B(x)} \kappa(x, y, v(y))`.
 
     What the kernel sees of the two places is, with ``relative``, ((y - x) / radius, x); with
-    ``official`` it is y alone, as in the official code, which drops the query point.
+    ``official`` it is y alone, as in the official code, which drops the query point. With
+    ``reduction="sum"`` the mean over the ball becomes a sum, for sources on a regular grid, of
+    which every ball holds about as many.
 
     Source:
         Equations 6 and 7 of arXiv:2407.03925v2; the names of the transforms are those of the
@@ -74,6 +76,7 @@ class KernelIntegral(nn.Module):
         width_out: int,
         transform: str,
         kernel: str = "relative",
+        reduction: str = "mean",
     ) -> None:
         """Make the kernel network.
 
@@ -84,6 +87,7 @@ class KernelIntegral(nn.Module):
             width_out: Channels of the result; ``width_in`` for the linear transform.
             transform: ``linear`` or ``nonlinear_kernelonly``.
             kernel: ``relative`` or ``official``.
+            reduction: ``mean`` or ``sum`` over the sources in reach.
 
         Raises:
             ValueError: If the linear transform is to change the number of channels.
@@ -91,6 +95,7 @@ class KernelIntegral(nn.Module):
         super().__init__()
         self.linear = transform == "linear"
         self.relative = kernel == "relative"
+        self.summed = reduction == "sum"
         if self.linear and width_in != width_out:
             raise ValueError(
                 f"the linear transform multiplies the features by the kernel channel by channel, "
@@ -112,11 +117,13 @@ class KernelIntegral(nn.Module):
         Returns:
             Features of the query points.
         """
-        mean = pairs.query.mean_weight(dtype=pairs.relative.dtype)
+        weight = pairs.query.mean_weight(dtype=pairs.relative.dtype)
+        if self.summed:
+            weight = torch.ones_like(weight)
         kernel = self.kernel.finish(self._first_layer(value, pairs))
         if self.linear:
             kernel = kernel * take(value, pairs.source)
-        return weighted_sum(kernel, pairs.query, mean)
+        return weighted_sum(kernel, pairs.query, weight)
 
     def _first_layer(self, value: Tensor, pairs: PointPairs) -> Tensor:
         """First linear layer of the kernel at every pair (m h), its point parts done per point."""

@@ -13,7 +13,12 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-__all__ = ["GridPairs", "LatentGrid", "Tokens"]
+__all__ = ["GridPairs", "LatentGrid", "Tokens", "widened"]
+
+
+def widened(bounds: Sequence[Sequence[float]], share: float) -> list[list[float]]:
+    """Bounds that go farther on each side by a share of their width."""
+    return [[low - share * (high - low), high + share * (high - low)] for low, high in bounds]
 
 
 @dataclass(frozen=True, kw_only=True)
