@@ -22,6 +22,8 @@ SMALL: dict[str, dict[str, object]] = {
     "ipot": {"latents": 8, "width": 16, "repeats": 2, "cross_heads": 2, "heads": 2, "bands": 3},
     "transolver": {"layers": 2, "width": 16, "heads": 2, "slices": 4},
     "operator": {"width": 16, "heads": 2},
+    "gino": {"side": 6, "modes": 3, "width": 8, "layers": 2, "in_hidden": [8], "out_hidden": [8]},
+    "unet": {"side": 8, "channels": [8, 8, 16], "types": [5, 6]},
 }
 """Settings that make a kind small; without an entry it is tested in its full size."""
 
