@@ -6,6 +6,7 @@ grid, the scales and gravity are found from the training split alone.
 
 import math
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +14,8 @@ import torch
 from torch import Tensor
 
 from giorom.config import Experiment
-from giorom.data.statistics import Statistics
-from giorom.data.trajectory_file import iterate_trajectories, read_metadata
+from giorom.data.statistics import Statistics, measure_statistics
+from giorom.data.trajectory_file import iterate_trajectories, read_metadata, trajectory_count
 from giorom.data.windows import SampledTrajectory, Windows, sample_trajectories
 from giorom.graph import RadiusChoice, choose_radius
 from giorom.normalization import Normalization
@@ -61,7 +62,9 @@ def load_training_data(experiment: Experiment, folder: Path) -> TrainingData:
     metadata = read_metadata(folder)
     _check_match(experiment, metadata, folder)
     training = experiment.training
-    full = list(iterate_trajectories(folder, "train"))
+    full = _training_trajectories(folder, wanted=training.trajectories)
+    if training.trajectories is not None:
+        metadata |= measure_statistics(full).to_metadata()
     choice = choose_common_radius(full, experiment)
     reference = choice.radius if experiment.graph.configuration == "reference" else None
     past = experiment.features.velocities if training.straight_past else 0
@@ -94,6 +97,21 @@ def load_training_data(experiment: Experiment, folder: Path) -> TrainingData:
         validation=validation[: training.validation_trajectories],
         latent_bounds=padded_bounds(full, turned=training.turn),
     )
+
+
+def _training_trajectories(folder: Path, *, wanted: int | None) -> list[Trajectory]:
+    """The training split, or as many of its first trajectories as are wanted.
+
+    Raises:
+        ValueError: If there are fewer.
+    """
+    present = trajectory_count(folder, "train")
+    if wanted is not None and wanted > present:
+        raise ValueError(
+            f"training.trajectories is {wanted}, but {folder} holds {present} for training. Make "
+            f"more, or set it to null to use all."
+        )
+    return list(islice(iterate_trajectories(folder, "train"), wanted))
 
 
 def choose_common_radius(trajectories: list[Trajectory], experiment: Experiment) -> RadiusChoice:

@@ -71,6 +71,10 @@ class TrainingConfig:
     gate_steps: int = 4000
     """Steps that fit the gate of a gated skip before the whole network is trained."""
 
+    trajectories: int | None = None
+    """Training trajectories that are used, the first of the data set: how much data a model needs;
+    null: all."""
+
     subsets: int = 8
     """Different samples of each trajectory."""
 
@@ -138,6 +142,11 @@ class TrainingConfig:
                 raise ValueError(
                     f"TrainingConfig.{name} must be >= 0 and finite, got {getattr(self, name)!r}."
                 )
+        if self.trajectories is not None and self.trajectories < 1:
+            raise ValueError(
+                f"TrainingConfig.trajectories must be >= 1, got {self.trajectories!r}. Null takes "
+                f"all there are."
+            )
         self._check_objective()
         self._check_unroll()
         self._check_shares()
