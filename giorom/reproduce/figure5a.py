@@ -69,7 +69,8 @@ def run(study: Study) -> Result:
             "recovered positions of two discretisations, mean over the six pairs [m]; `error`: "
             "the same between a discretisation and the solver, mean over the four; both also "
             "over the root mean square displacement of the solver's points.",
-            "A model that diverges from a discretisation is left out of the means and counted.",
+            "A discretisation from which the model has diverged up to a frame is left out of the "
+            "means of that frame and counted.",
         ],
         draw=_drawing(shown),
     )
@@ -113,24 +114,24 @@ def _compared(simulator: Simulator, trajectory: Trajectory, *, method: str) -> d
     instants = (shown - history).clamp(min=0)
     start = trajectory.position[0]
     count = len(simulator.sample(start))
-    sparse, full, diverged = [], [], 0
+    sparse, full, ends = [], [], []
     for seed in range(DISCRETISATIONS):
         samples = sample_random(start, count, generator=torch.Generator().manual_seed(seed))
         case = roll(simulator, trajectory, samples=samples, frames=frames)
         sparse.append(case.rollout.position[instants])
-        if case.rollout.diverged_at is None:
-            decode = simulator.decoder(start, trajectory.kinematic, samples=samples)
-            recovered = torch.stack([decode(frame) for frame in case.rollout.position])
-            full.append(recovered[instants])
-        else:
-            diverged += 1
+        decode = simulator.decoder(start, trajectory.kinematic, samples=samples)
+        full.append(torch.stack([decode(frame) for frame in case.rollout.position])[instants])
+        ends.append(case.rollout.diverged_at or frames + 1)
     same = {"method": method, "points": len(start), "sparse_points": count}
-    same["diverged"] = f"{diverged}/{DISCRETISATIONS}"
+    rows = []
+    for number, instant in enumerate(instants.tolist()):
+        alive = [
+            motion[number] for motion, end in zip(full, ends, strict=True) if instant + 1 < end
+        ]
+        row = same | {"diverged": f"{DISCRETISATIONS - len(alive)}/{DISCRETISATIONS}"}
+        rows.append(row | _numbers(alive, trajectory, history + instant))
     return {
-        "rows": [
-            same | _numbers([motion[number] for motion in full], trajectory, frame)
-            for number, frame in enumerate((history + instants).tolist())
-        ],
+        "rows": rows,
         "clouds": [plain(position) for position in sparse],
         "bounds": trajectory.bounds.tolist(),
     }
