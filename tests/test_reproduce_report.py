@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from giorom.reproduce import SCALES, Result, Study
-from giorom.reproduce.compare import bootstrap_interval, over_seeds, paired
+from giorom.reproduce.compare import bootstrap_interval, over_seeds, paired, score_columns
 from giorom.reproduce.report import cell, write_result
 
 
@@ -52,6 +52,16 @@ def test_a_diverged_rollout_is_in_no_paired_difference():
     other = paired([scores(2.0, 99.0, diverged=[1])], those)
     assert (other["pairs"], other["difference"]) == (1, pytest.approx(1.0))
     assert paired([scores(1.0, diverged=[0])], those)["times"] is None
+
+
+def test_how_long_rollouts_lasted_counts_those_that_diverged_and_those_that_did_not():
+    """Diverged at frame 3: two frames were good; sound: all ten; (2 + 10) / 2."""
+    entries = [{"diverged_at": 3, "frames": 10}, {"diverged_at": None, "frames": 10}]
+    score = dict.fromkeys(("steps", "parameters", "edges", "seconds", "sparse"))
+    score |= {"diverged": 1, "trajectories": 2, "per_trajectory": entries, "trial": "a"}
+    row = score_columns([score], {"rollout_mse": ("sparse", "rollout_mse")})
+    assert (row["lasted"], row["diverged"], row["rollout_mse"]) == (6.0, "1/2", None)
+    assert score_columns([score | {"per_trajectory": []}], {})["lasted"] is None
 
 
 def test_the_bootstrap_interval_of_a_mean_is_that_of_the_normal_law():

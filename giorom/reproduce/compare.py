@@ -42,12 +42,21 @@ def score_columns(
     row["diverged"] = (
         f"{sum(s['diverged'] for s in scores)}/{sum(s['trajectories'] for s in scores)}"
     )
+    row["lasted"] = _lasted(scores)
     row |= over_seeds("steps", [s["steps"] for s in scores])
     row["parameters"] = next((s["parameters"] for s in scores if s["parameters"]), None)
     row["edges"] = next((s["edges"] for s in scores if s["edges"] is not None), None)
     row["seconds"] = over_seeds("seconds", [s["seconds"] for s in scores])["seconds"]
     row["trials"] = [s["trial"] for s in scores]
     return row
+
+
+def _lasted(scores: list[dict[str, Any]]) -> float | None:
+    """Frames that a rollout was inside the box and finite, mean over all; none without a model."""
+    entries = [entry for score in scores for entry in score["per_trajectory"]]
+    if not entries:
+        return None
+    return fmean((e["diverged_at"] or e["frames"] + 1) - 1.0 for e in entries)
 
 
 def paired(

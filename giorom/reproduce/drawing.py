@@ -5,6 +5,12 @@ from typing import Any
 OURS, OTHERS, PAPER = "#c1272d", "#30506d", "#8a8a8a"
 """Colours of our default, of everything else that was measured, of the paper's numbers."""
 
+LEAST_SPAN = 100.0
+"""Least ratio of the ends of a logarithmic axis."""
+
+SMALL: dict[str, Any] = {"fontsize": 7, "color": PAPER, "verticalalignment": "center"}
+"""Words inside a panel."""
+
 
 def draw_systems(
     figure: Any,
@@ -48,14 +54,28 @@ def _draw_panel(
             low, high = row.get(f"{value}_min") or middle, row.get(f"{value}_max") or middle
             panel.plot([low, high], [line, line], color=color, linewidth=2.0)
             panel.plot([middle], [line], "o", color=color, markersize=5.0)
+        elif row.get("diverged"):
+            panel.text(0.02, line, "diverged", transform=panel.get_yaxis_transform(), **SMALL)
         if row.get("paper"):
             panel.plot([row["paper"]], [line], "x", color=PAPER, markersize=6.0)
-    panel.set_xscale("log")
+    _logarithmic(panel)
     panel.set_yticks(range(len(rows)), [str(row[name]) for row in rows], fontsize=8)
     panel.set_ylim(len(rows) - 0.5, -0.5)
     panel.tick_params(axis="x", labelsize=8)
     panel.grid(axis="x", color="0.9")
     panel.spines[["top", "right"]].set_visible(False)
+
+
+def _logarithmic(panel: Any) -> None:
+    """A logarithmic axis with a name at every power of ten, of which there are two at least."""
+    from matplotlib.ticker import NullFormatter
+
+    panel.set_xscale("log")
+    low, high = panel.get_xlim()
+    missing = LEAST_SPAN / (high / low)
+    if missing > 1.0:
+        panel.set_xlim(low / missing**0.5, high * missing**0.5)
+    panel.xaxis.set_minor_formatter(NullFormatter())
 
 
 def _same_names(rows: list[dict[str, Any]], systems: list[str], name: str) -> bool:

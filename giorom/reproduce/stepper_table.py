@@ -22,6 +22,7 @@ COLUMNS = [
     "ratio",
     "times_ours",
     "diverged",
+    "lasted",
     "steps",
     "equal_steps_mse",
     "equal_steps",
@@ -145,7 +146,7 @@ def ranks(rows: list[dict[str, Any]], *, column: str = "rollout_mse") -> list[st
             lines.append(f"{system}: every rollout of ours diverged.")
             continue
         place = names.index("default")
-        before = ", ".join(row["method"] for row in known[:place]) or "none"
+        before = ", ".join(f"`{name}`" for name in names[:place]) or "none"
         lines.append(
             f"{system}: ours is number {place + 1} of {len(mine)} at equal time of training; "
             f"before it: {before}."

@@ -58,6 +58,7 @@ def notes() -> list[str]:
         "slowest of the networks did in the equal time. Ours is fitted to whole rollouts, by a "
         "search where a grid moves the samples: its steps are not those of a network, and it has "
         "no such number.",
+        "`lasted`: frames until a rollout diverged, the mean over all rollouts.",
         "`edges`: edges of the graph that the method reads, at the first frame.",
         "The paper's numbers are of its own data, sizes and training times: a scale, not a target. "
         "The cross in the picture is the paper's.",
