@@ -111,5 +111,6 @@ def test_clouds_are_drawn_at_equal_scales_within_their_walls():
         pytest.approx((0.1, 0.1, 0.8, 0.8))
     ]
     space = figure.add_subplot(1, 2, 2, projection="3d")
-    draw_space(space, [[0.5, 0.5, 0.5]], bounds=[[0.0, 1.0]] * 3)
+    draw_space(space, [[0.5, 0.5, 0.5], [2.0, 0.5, 0.5]], bounds=[[0.0, 1.0]] * 3)
+    assert "1 of 2 outside" in space.get_title()
     assert len(space.lines) == 12

@@ -47,7 +47,7 @@ def draw_cloud(
     axes.add_patch(Rectangle(corner, width, height, fill=False, color=WALL, linewidth=1.0))
     axes.set_xlim(left - MARGIN, right + MARGIN)
     axes.set_ylim(bottom - MARGIN, top + MARGIN)
-    beyond = int(((cloud < walls[:, 0] - MARGIN) | (cloud > walls[:, 1] + MARGIN)).any(1).sum())
+    beyond = outside(cloud, walls)
     if beyond:
         place = {"x": 0.5, "y": 0.5, "transform": axes.transAxes, "ha": "center", "fontsize": 7}
         axes.text(s=f"{beyond} of {len(cloud)} outside", **place)
@@ -57,6 +57,11 @@ def draw_cloud(
     for side in axes.spines.values():
         side.set_visible(False)
     axes.set_title(title, fontsize=8)
+
+
+def outside(cloud: np.ndarray, walls: np.ndarray) -> int:
+    """Points farther than ``MARGIN`` beyond a wall."""
+    return int(((cloud < walls[:, 0] - MARGIN) | (cloud > walls[:, 1] + MARGIN)).any(axis=1).sum())
 
 
 def draw_space(axes: Any, points: Any, *, bounds: Any, title: str = "", size: float = 5.0) -> None:
@@ -72,6 +77,9 @@ def draw_space(axes: Any, points: Any, *, bounds: Any, title: str = "", size: fl
     cloud, walls = np.asarray(points, dtype=float), np.asarray(bounds, dtype=float)
     order = [0, 2, 1]  # matplotlib's third axis points up
     cloud, walls = cloud[:, order], walls[order]
+    beyond = outside(cloud, walls)
+    if beyond:
+        title += f"\n{beyond} of {len(cloud)} outside"
     axes.scatter(*cloud.T, c=cloud[:, 1], cmap="viridis_r", s=size, linewidths=0, depthshade=False)
     low, high = walls.T
     for axis in range(3):
