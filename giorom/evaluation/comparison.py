@@ -47,7 +47,7 @@ DISTRIBUTION_STRIDE = 25
 """Every how many frames the distances between clouds are measured; the last frame always is."""
 
 MOST_TRANSPORTED = 300
-"""Most points between which transport is measured: between 800 it took longer than their rollout."""
+"""Most points between which transport is measured: 800 took longer than their rollout."""
 
 DISTRIBUTION_BASELINES = ("static", "free_fall", "frozen_shape")
 """Trivial predictions whose distances between clouds are measured too."""

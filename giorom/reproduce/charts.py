@@ -13,7 +13,7 @@ ERROR = "rollout MSE [m²]"
 def draw_rows(
     axes: Any,
     rows: Iterable[dict[str, Any]],
-    places: Sequence[float],
+    places: Sequence[float | int],
     *,
     key: str = "rollout_mse",
     label: str = "ours",
@@ -60,7 +60,7 @@ def draw_rows(
 
 def draw_paper(
     axes: Any,
-    places: Sequence[float],
+    places: Sequence[float | int],
     values: Sequence[float | None],
     *,
     label: str = "paper",
