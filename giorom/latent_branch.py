@@ -102,13 +102,7 @@ class LatentBranch(nn.Module):
         )
         coordinate = self.grid.node_unit(tokens.node, position)
         dense = coordinate.expand(features.batch_size, -1, -1)
-        inward = PointPairs(
-            query=Grouping.by(tokens.slot, dense.shape[0] * dense.shape[1]),
-            source=Grouping.by(pairs.particle, len(value)),
-            relative=pairs.relative,
-            query_position=dense.flatten(0, 1),
-            source_position=self.grid.unit(position),
-        )
+        inward = self.grid.inward(position, pairs, tokens, coordinate=dense)
         token = self.encode(value, inward).unflatten(0, dense.shape[:2])
         if self.transformer is not None:
             token = self.transformer(token, coordinate, tokens.mask)

@@ -11,6 +11,7 @@ import torch
 
 from giorom.data.statistics import measure_statistics
 from giorom.data.trajectory_file import iterate_trajectories, read_trajectory
+from giorom.evaluation.discretisation import rebuilt
 from giorom.graph import connect_points
 from giorom.pipeline import start_from_trajectory
 from giorom.reproduce import (
@@ -25,7 +26,7 @@ from giorom.reproduce import (
     table14,
 )
 from giorom.reproduce.ablation import NETWORK, Variant, network_changes, together
-from giorom.reproduce.changed_model import rebuilt, with_graph, with_latent_grid
+from giorom.reproduce.changed_model import with_graph, with_latent_grid
 from giorom.reproduce.charts import draw_rows
 from giorom.time_stepper import TimeStepper
 from giorom.training_data import load_training_data

@@ -5,10 +5,11 @@ import torch
 from scipy.spatial.distance import pdist
 
 from giorom.data.trajectory_file import read_trajectory
+from giorom.evaluation.stage_speed import connect_at
 from giorom.graph import delaunay_edges, radius_edges
 from giorom.reproduce.figure5a import pairwise_difference
 from giorom.reproduce.pictures import draw_cloud, draw_space
-from giorom.reproduce.rollouts import connect_at, edges_between, joined_components, roll
+from giorom.reproduce.rollouts import edges_between, joined_components, roll
 from giorom.reproduce.table11 import official_viscosity, viscosity
 
 

@@ -17,7 +17,6 @@ from torch.nn import functional
 from giorom.baselines.contract import Baseline
 from giorom.baselines.shape import NetworkShape
 from giorom.features import Features
-from giorom.layers.aggregation import Grouping
 from giorom.layers.fourier_operator import SpectralConvolution
 from giorom.layers.kernel_integral import KernelIntegral, PointPairs
 from giorom.layers.latent_grid import LatentGrid, widened
@@ -196,14 +195,8 @@ class GINO(Baseline):
         position, scenes = features.position, features.batch_size
         near = self.grid.pairs(position)
         tokens = self.grid.tokens(near, features.batch, scenes, occupied=False)
-        place = self.grid.node_unit(tokens.node, position).expand(scenes, -1, -1).flatten(0, 1)
-        return PointPairs(
-            query=Grouping.by(tokens.slot, len(place)),
-            source=Grouping.by(near.particle, len(position)),
-            relative=near.relative,
-            query_position=place,
-            source_position=self.grid.unit(position),
-        )
+        coordinate = self.grid.node_unit(tokens.node, position).expand(scenes, -1, -1)
+        return self.grid.inward(position, near, tokens, coordinate=coordinate)
 
 
 class LibraryConvolution(nn.Module):

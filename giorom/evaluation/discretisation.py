@@ -9,8 +9,19 @@ from dataclasses import replace
 from typing import Any
 
 from giorom.evaluation.evaluate import evaluate_trajectory
-from giorom.simulator import Simulator
+from giorom.simulator import Simulator, SimulatorConfig
 from giorom.state import Trajectory
+
+
+def rebuilt(simulator: Simulator, config: SimulatorConfig) -> Simulator:
+    """The weights of a simulator under another configuration.
+
+    Raises:
+        RuntimeError: If the weights do not fit it.
+    """
+    result = Simulator(config)
+    result.load_state_dict(simulator.state_dict())
+    return result.eval().requires_grad_(False)
 
 
 def widened(simulator: Simulator, factor: float) -> Simulator:
@@ -26,9 +37,7 @@ def widened(simulator: Simulator, factor: float) -> Simulator:
     if grid is not None:
         grid = replace(grid, spacing=factor * grid.spacing)
     # The grid of a body has nothing to do with the number of samples.
-    changed = Simulator(replace(config, graph=graph, grid_stepper=grid))
-    changed.load_state_dict(simulator.state_dict())
-    return changed.eval().requires_grad_(False)
+    return rebuilt(simulator, replace(config, graph=graph, grid_stepper=grid))
 
 
 def at_density(simulator: Simulator, factor: float) -> Simulator:

@@ -96,11 +96,11 @@ def _full_scores(
     history = simulator.config.features.history
     truth = trajectory.position[history : history + len(predicted)]
     decode = simulator.decoder(trajectory.position[0], trajectory.kinematic, samples=samples)
-    full = _decoded(decode, predicted, trajectory.kinematic, truth)
+    full = decoded(decode, predicted, trajectory.kinematic, truth)
     everything = torch.arange(trajectory.position.shape[1], device=samples.device)
     scores = _scores(trajectory, everything, full, history=history)
     decode.restart()
-    floor = _decoded(decode, truth[:, samples], trajectory.kinematic, truth)
+    floor = decoded(decode, truth[:, samples], trajectory.kinematic, truth)
     floor_error = squared_error_per_frame(floor, truth)
     scores["projection_floor_mse"] = float(floor_error.sum()) / (len(truth) + history)
     return scores
@@ -137,7 +137,7 @@ def one_step_errors(
         if is_due:
             moved = later.position[None]
             sparse_errors.append(squared_error_per_frame(moved, truth[:, samples]))
-            full = _decoded(copy.copy(decode), moved, trajectory.kinematic, truth)
+            full = decoded(copy.copy(decode), moved, trajectory.kinematic, truth)
             full_errors.append(squared_error_per_frame(full, truth))
     return float(torch.cat(sparse_errors).mean()), float(torch.cat(full_errors).mean())
 
@@ -237,7 +237,7 @@ def _scores(
     ).scores()
 
 
-def _decoded(decode: Decode, samples: Tensor, kinematic: Tensor, truth: Tensor) -> Tensor:
+def decoded(decode: Decode, samples: Tensor, kinematic: Tensor, truth: Tensor) -> Tensor:
     """Positions of all particles at every frame; the kinematic ones where the data have them."""
     position = torch.stack([decode(frame) for frame in samples])
     return torch.where(kinematic[:, None], truth, position)

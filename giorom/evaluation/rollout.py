@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from giorom.pipeline import Connect, Step, rollout
@@ -36,12 +36,10 @@ def roll_out(
     outside the walls than the domain is wide counts as diverged: left alone it would overflow a
     few frames later.
     """
-    extent = state.bounds[:, 1] - state.bounds[:, 0]
-    low, high = state.bounds[:, 0] - extent, state.bounds[:, 1] + extent
     positions = []
     try:
         for later in rollout(state, frames, connect=connect, step=step, prescribed=prescribed):
-            if bool(((later.position < low) | (later.position > high)).any()):
+            if bool(far_outside(later.position, later.bounds).any()):
                 break
             positions.append(later.position)
     except FloatingPointError:
@@ -50,6 +48,15 @@ def roll_out(
     last = positions[-1] if positions else state.position
     positions += [last] * (frames - len(positions))
     return SparseRollout(position=torch.stack(positions), diverged_at=diverged_at)
+
+
+def far_outside(
+    position: Float[Tensor, "*n d"], bounds: Float[Tensor, "d 2"]
+) -> Bool[Tensor, "*n"]:
+    """Which points are further outside the walls than the domain is wide."""
+    low, high = bounds.unbind(dim=1)
+    extent = high - low
+    return ((position < low - extent) | (position > high + extent)).any(dim=-1)
 
 
 def single_scene(state: SparseState, scene: int) -> SparseState:

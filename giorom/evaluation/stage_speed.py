@@ -87,7 +87,7 @@ def measure_step(case: StepCase) -> dict[str, Any]:
     torch.set_num_threads(case.threads)
     simulator = Simulator.from_pretrained(case.simulator).to(case.device)
     motion = read_trajectory_file(case.motion).to(case.device)
-    connect = connect_at(simulator, case.radius)
+    connect = connect_at(simulator, case.radius, rescaled=True)
     states = states_of(motion, history=simulator.config.features.history, count=case.steps)
     with torch.no_grad():
         (_, memory), peak = peak_memory(
@@ -111,15 +111,23 @@ def measure_step(case: StepCase) -> dict[str, Any]:
     }
 
 
-def connect_at(simulator: Simulator, radius: float | None) -> Connect:
-    """The graph of a simulator at another radius [m], which becomes its unit of length too."""
+def connect_at(
+    simulator: Simulator, radius: float | None, *, rescaled: bool, kind: str | None = None
+) -> Connect:
+    """The graph of a simulator at another radius.
+
+    Args:
+        simulator: The simulator; its unit of length changes if ``rescaled``.
+        radius: Radius of the graph [m]; none: as trained.
+        rescaled: Whether the features are measured in the new radius, as the official code does.
+        kind: Another kind of graph; none: as trained.
+    """
     dynamics, graph = simulator.dynamics, simulator.config.graph
     if not isinstance(dynamics, Dynamics):
         return unconnected
-    if radius is None:
-        return simulator.connect
-    dynamics.radius = radius
-    return connect_within(radius, configuration=graph.configuration, kind=graph.kind)
+    radius = graph.radius if radius is None else radius
+    dynamics.radius = radius if rescaled else graph.radius
+    return connect_within(radius, configuration=graph.configuration, kind=kind or graph.kind)
 
 
 def states_of(motion: Trajectory, *, history: int, count: int) -> list[SparseState]:

@@ -1,6 +1,8 @@
 """What a coded field is: a function of the place and of a short code that describes one frame."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterable
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -8,6 +10,23 @@ from torch import Tensor, nn
 
 POINTS_AT_ONCE = 1 << 17
 """Points that are decoded together; bounds the memory."""
+
+
+def check_sizes(record: Any, *, counts: Iterable[str], positive: Iterable[str]) -> None:
+    """Reject sizes no network can be built with.
+
+    Args:
+        record: A configuration.
+        counts: Fields that are at least one.
+        positive: Fields that are larger than zero.
+    """
+    name = type(record).__name__
+    for field in counts:
+        if getattr(record, field) < 1:
+            raise ValueError(f"{name}.{field} must be >= 1, got {getattr(record, field)!r}.")
+    for field in positive:
+        if not getattr(record, field) > 0.0:
+            raise ValueError(f"{name}.{field} must be > 0, got {getattr(record, field)!r}.")
 
 
 class CodedField(nn.Module, ABC):
@@ -55,6 +74,10 @@ class CodedField(nn.Module, ABC):
             state: State at these places.
             code: The stored codes of the frames, if any are.
         """
+
+    def misfit(self, point: Tensor, state: Tensor, code: Tensor) -> Float[Tensor, ""]:
+        """Mean squared error of each frame, summed: each is fitted as it would be alone."""
+        return (self(point, code) - state).square().mean(dim=(1, 2)).sum()
 
     def decode(
         self, point: Float[Tensor, "p d"], code: Float[Tensor, "n c"]

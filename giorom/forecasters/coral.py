@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from giorom.forecasters.coded_field import CodedField
+from giorom.forecasters.coded_field import CodedField, check_sizes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,12 +41,11 @@ class CoralConfig:
 
     def __post_init__(self) -> None:
         """Reject sizes no network can be built with."""
-        for name in ("code", "width", "layers", "fit_steps"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"CoralConfig.{name} must be >= 1, got {getattr(self, name)!r}.")
-        for name in ("frequency", "fit_rate"):
-            if not getattr(self, name) > 0.0:
-                raise ValueError(f"CoralConfig.{name} must be > 0, got {getattr(self, name)!r}.")
+        check_sizes(
+            self,
+            counts=("code", "width", "layers", "fit_steps"),
+            positive=("frequency", "fit_rate"),
+        )
 
     @classmethod
     def published(cls) -> "CoralConfig":
@@ -114,8 +113,7 @@ class CoralField(CodedField):
     def _steps(self, point: Tensor, state: Tensor, *, differentiable: bool) -> Tensor:
         code = state.new_zeros(len(state), self.code, requires_grad=True)
         for _ in range(self.config.fit_steps):
-            # Summed over frames, so that each is fitted as it would be alone.
-            error = (self(point, code) - state).square().mean(dim=(1, 2)).sum()
+            error = self.misfit(point, state, code)
             (slope,) = torch.autograd.grad(error, [code], create_graph=differentiable)
             code = code - self.config.fit_rate * slope
             if not differentiable:

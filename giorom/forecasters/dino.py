@@ -15,7 +15,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from giorom.forecasters.coded_field import CodedField
+from giorom.forecasters.coded_field import CodedField, check_sizes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,16 +43,15 @@ class DinoConfig:
 
     def __post_init__(self) -> None:
         """Reject sizes no network can be built with."""
-        for name in ("code", "width", "layers", "fit_steps"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"DinoConfig.{name} must be >= 1, got {getattr(self, name)!r}.")
+        check_sizes(
+            self,
+            counts=("code", "width", "layers", "fit_steps"),
+            positive=("frequency", "fit_rate"),
+        )
         if self.width % 2:
             raise ValueError(
                 f"DinoConfig.width must be even, half sines and half cosines, got {self.width!r}."
             )
-        for name in ("frequency", "fit_rate"):
-            if not getattr(self, name) > 0.0:
-                raise ValueError(f"DinoConfig.{name} must be > 0, got {getattr(self, name)!r}.")
 
     @classmethod
     def published(cls) -> "DinoConfig":
@@ -112,8 +111,7 @@ class DinoField(CodedField):
         optimizer = torch.optim.Adam([code], lr=self.config.fit_rate)
         with torch.enable_grad():
             for _ in range(self.config.fit_steps):
-                # Summed over frames, so that each is fitted as it would be alone.
-                error = (self(point, code) - state).square().mean(dim=(1, 2)).sum()
+                error = self.misfit(point, state, code)
                 (code.grad,) = torch.autograd.grad(error, [code])
                 optimizer.step()
         return code.detach()

@@ -13,6 +13,9 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from giorom.layers.aggregation import Grouping
+from giorom.layers.kernel_integral import PointPairs
+
 __all__ = ["GridPairs", "LatentGrid", "Tokens", "widened"]
 
 
@@ -162,6 +165,31 @@ class LatentGrid:
         node[at], mask[at] = of_node, True
         slot = scene * size + rank.view(-1)[flat]
         return Tokens(node=node, slot=slot, mask=mask)
+
+    def inward(
+        self,
+        position: Float[Tensor, "q d"],
+        pairs: GridPairs,
+        tokens: Tokens,
+        *,
+        coordinate: Float[Tensor, "b t d"],
+    ) -> PointPairs:
+        """Tokens as queries of the particles in their reach, the scenes in a row.
+
+        Args:
+            position: Particle positions [m].
+            pairs: Particles and nodes in reach.
+            tokens: The nodes that are processed.
+            coordinate: Their coordinates in units of the grid, for every scene.
+        """
+        place = coordinate.flatten(0, 1)
+        return PointPairs(
+            query=Grouping.by(tokens.slot, len(place)),
+            source=Grouping.by(pairs.particle, len(position)),
+            relative=pairs.relative,
+            query_position=place,
+            source_position=self.unit(position),
+        )
 
     def _window(self, device: torch.device) -> Int[Tensor, "w d"]:
         """Offsets of the nodes that can be in reach, counted from the first on each axis."""

@@ -5,7 +5,6 @@ samples, as in the paper.
 """
 
 import tempfile
-from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
@@ -15,14 +14,12 @@ from safetensors.torch import save_file
 
 from giorom.config import merged
 from giorom.data.trajectory_file import write_trajectory_file
-from giorom.evaluation.fresh_process import call_afresh
 from giorom.evaluation.stage_speed import DecodeCase, StepCase, measure_decode, measure_step
-from giorom.reproduce.compare import over_seeds, score_columns
+from giorom.reproduce.compare import over_seeds, score_columns, with_ratio
 from giorom.reproduce.rollouts import first_test_trajectory, trained_model
 from giorom.reproduce.study import Study
 from giorom.reproduce.trial import Trial
 from giorom.reproduce.tuning import tuned
-from giorom.reproduce.workers import one_thread
 from giorom.time_stepper import TimeStepperConfig
 
 NETWORK = "io-not-io"
@@ -62,11 +59,6 @@ class Variant:
 
     paper: float | None = None
     """Rollout error in the paper [m^2]."""
-
-
-def fewer_seeds(study: Study, most: int) -> list[int]:
-    """The first seeds of a study, where the variants are many."""
-    return study.seeds[:most]
 
 
 def train_variants(
@@ -118,14 +110,7 @@ def _row(study: Study, variant: Variant, trials: list[Trial], *, full: bool) -> 
     coverage = [study.training(trial).get("latent_coverage") for trial in trials]
     row = {**variant.labels, **columns, "seeds": len(trials)}
     row |= over_seeds("coverage", coverage)
-    return with_ratio(row, variant.paper)
-
-
-def with_ratio(row: dict[str, Any], paper: float | None) -> dict[str, Any]:
-    """The row with the paper's rollout error and ours over it."""
-    ours = row["rollout_mse"]
-    ratio = None if paper is None or ours is None else ours / paper
-    return row | {"paper": paper, "ratio": ratio}
+    return row | with_ratio(row["rollout_mse"], variant.paper)
 
 
 def network_of(study: Study, system: str, method: str = NETWORK) -> TimeStepperConfig:
@@ -198,7 +183,7 @@ def _measure(study: Study, system: str, name: str, upscale: bool) -> dict[str, A
             seconds=MOST_SECONDS,
             **common,
         )
-        cost = _alone(study, measure_step, step) | {"body_points": body.position.shape[1]}
+        cost = study.alone(measure_step, step) | {"body_points": body.position.shape[1]}
         if upscale:
             tensors = {
                 "reference": body.position[0, samples],
@@ -207,16 +192,6 @@ def _measure(study: Study, system: str, name: str, upscale: bool) -> dict[str, A
                 "bounds": body.bounds,
             }
             save_file({key: value.contiguous() for key, value in tensors.items()}, points)
-            found = _alone(
-                study, measure_decode, DecodeCase(simulator=model, body=points, **common)
-            )
+            found = study.alone(measure_decode, DecodeCase(simulator=model, body=points, **common))
             cost["upscale_seconds"] = found["frame_seconds"]
     return cost
-
-
-def _alone(study: Study, measure: Callable[[Any], dict[str, Any]], case: Any) -> dict[str, Any]:
-    """A measurement in a process of its own, or, where only the command is tested, in this one."""
-    if study.scale.name != "tiny":
-        return call_afresh(measure, case)
-    with one_thread():
-        return measure(case)

@@ -15,17 +15,6 @@ from giorom.simulator import Simulator
 from giorom.simulator_config import SimulatorConfig
 
 
-def rebuilt(simulator: Simulator, config: SimulatorConfig) -> Simulator:
-    """The weights of a simulator under another configuration.
-
-    Raises:
-        RuntimeError: If the weights do not fit it.
-    """
-    result = Simulator(config)
-    result.load_state_dict(simulator.state_dict())
-    return result.eval().requires_grad_(False)
-
-
 def with_latent_grid(
     config: SimulatorConfig, *, side: int, radius: float | None
 ) -> SimulatorConfig:

@@ -27,6 +27,17 @@ def over_seeds(name: str, values: Sequence[float | int | None]) -> dict[str, flo
     return {name: fmean(known), f"{name}_min": min(known), f"{name}_max": max(known)}
 
 
+def with_ratio(value: float | None, paper: float | None) -> dict[str, float | None]:
+    """A number of the paper, and ours in units of it.
+
+    Args:
+        value: Ours; none where there is none.
+        paper: The paper's, likewise.
+    """
+    known = value is not None and paper
+    return {"paper": paper, "ratio": value / paper if known else None}
+
+
 def score_columns(
     scores: list[dict[str, Any]], names: dict[str, tuple[str, str]]
 ) -> dict[str, Any]:

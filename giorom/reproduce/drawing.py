@@ -1,5 +1,7 @@
 """Pictures of tables: values with their ranges, a panel for each system."""
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 OURS, OTHERS, PAPER = "#c1272d", "#30506d", "#8a8a8a"
@@ -10,6 +12,16 @@ LEAST_SPAN = 100.0
 
 SMALL: dict[str, Any] = {"fontsize": 7, "color": PAPER, "verticalalignment": "center"}
 """Words inside a panel."""
+
+
+def panels_of(
+    rows: list[dict[str, Any]],
+    *,
+    label: str = "rollout MSE [m²]",
+    ours: str = "default",
+) -> Callable[[Any], None]:
+    """A function that draws the rollout errors of rows, a panel for each system."""
+    return partial(draw_systems, rows=rows, value="rollout_mse", label=label, ours=ours)
 
 
 def draw_systems(

@@ -11,12 +11,12 @@ from typing import Any
 import torch
 
 from giorom.evaluation.mechanics import number_density, smallest_distance, volume_ratio
+from giorom.evaluation.stage_speed import connect_at
 from giorom.graph import choose_radius, nearest_distances, radius_edges
 from giorom.reproduce.pictures import PREDICTED, TRUE, draw_cloud
 from giorom.reproduce.report import Result
 from giorom.reproduce.rollouts import (
     Case,
-    connect_at,
     edges_between,
     first_test_trajectory,
     joined_components,

@@ -13,7 +13,6 @@ from giorom.reproduce.ablation import (
     NETWORK,
     TIMED_FRAMES,
     Variant,
-    fewer_seeds,
     frame_cost,
     train_variants,
     trials_of,
@@ -112,7 +111,7 @@ def _sampled(share: float) -> dict[str, Any]:
 def run(study: Study) -> Result:
     """Train at every share, then with every radius at the sparsest."""
     points = read_metadata(study.dataset(SYSTEM))["num_particles_max"]
-    seeds = fewer_seeds(study, SEEDS)
+    seeds = study.seeds[:SEEDS]
     made = ratio_variants(points, large=study.scale.needs_gpu)
     shares = [variant.labels["share"] for variant in made if variant.method == NETWORK]
     rows = train_variants(study, made, seeds=seeds, full=True)

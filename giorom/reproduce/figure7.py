@@ -8,10 +8,10 @@ from collections.abc import Callable
 from typing import Any
 
 from giorom.evaluation.mechanics import smallest_distance
+from giorom.evaluation.stage_speed import connect_at
 from giorom.reproduce.pictures import PREDICTED, TRUE, draw_cloud
 from giorom.reproduce.report import Result
 from giorom.reproduce.rollouts import (
-    connect_at,
     first_test_trajectory,
     joined_components,
     plain,

@@ -11,8 +11,9 @@ import torch
 from torch import Tensor
 
 from giorom.data.trajectory_file import iterate_trajectories
+from giorom.evaluation.evaluate import decoded
 from giorom.evaluation.metrics import relative_displacement_error, squared_error_per_frame
-from giorom.evaluation.rollout import roll_out
+from giorom.evaluation.rollout import far_outside
 from giorom.forecasters import (
     ForecasterConfig,
     ForecasterTrainingConfig,
@@ -20,10 +21,10 @@ from giorom.forecasters import (
     gather_motions,
     train_forecaster,
 )
-from giorom.pipeline import start_from_trajectory
 from giorom.reproduce.compare import over_seeds, paired
-from giorom.reproduce.drawing import draw_systems
+from giorom.reproduce.drawing import panels_of
 from giorom.reproduce.report import Result
+from giorom.reproduce.rollouts import roll
 from giorom.reproduce.study import Study, Trial
 from giorom.sampling import sample
 from giorom.simulator import Simulator
@@ -94,16 +95,13 @@ def run(study: Study) -> Result:
     for system in systems:
         rows += _system_rows(system, rolled[system], {n: found[system, n] for n in FORECASTERS})
 
-    def draw(figure: Any) -> None:
-        draw_systems(figure, rows, value="rollout_mse", label="MSE, all particles [m²]")
-
     return Result(
         id="latent",
         title=TITLE,
         columns=COLUMNS,
         rows=rows,
         notes=[*_verdicts(rows), *NOTES],
-        draw=draw,
+        draw=panels_of(rows, label="MSE, all particles [m²]"),
     )
 
 
@@ -205,7 +203,7 @@ def score_motion(found: Tensor, trajectory: Trajectory, *, history: int) -> dict
 def score_ours(study: Study, key: dict[str, Any]) -> dict[str, Any]:
     """Roll out one of our models on the test motions and recover all particles.
 
-    Less than ``Study.scores`` measures, whose distances between whole clouds take minutes.
+    Less than ``Study.scores`` measures: no single steps, no distances between clouds.
 
     Args:
         study: Keeps the models.
@@ -223,18 +221,10 @@ def score_ours(study: Study, key: dict[str, Any]) -> dict[str, Any]:
             continue
         history = simulator.config.features.history
         samples = simulator.sample(trajectory.position[0])
-        truth = trajectory.position[history:]
-        rolled = roll_out(
-            start_from_trajectory(trajectory, samples, history=history),
-            len(truth),
-            connect=simulator.connect,
-            step=simulator.dynamics.step,
-            prescribed=truth[:, samples],
-        )
-        held = trajectory.kinematic
+        truth, held = trajectory.position[history:], trajectory.kinematic
+        rolled = roll(simulator, trajectory, samples=samples, frames=len(truth)).rollout
         decode = simulator.decoder(trajectory.position[0], held, samples=samples)
-        found = torch.stack([decode(frame) for frame in rolled.position])
-        found = torch.where(held[:, None], truth, found)
+        found = decoded(decode, rolled.position, held, truth)
         lost = {"rollout_mse": None, "relative_error": None, "diverged_at": rolled.diverged_at}
         scores.append(score_motion(found, trajectory, history=history))
         scores[-1] |= {} if rolled.diverged_at is None else lost
@@ -244,9 +234,8 @@ def score_ours(study: Study, key: dict[str, Any]) -> dict[str, Any]:
 
 def _diverged(found: Tensor, bounds: Tensor) -> int | None:
     """First frame that is not finite or has a point further outside than the domain is wide."""
-    extent = bounds[:, 1] - bounds[:, 0]
-    inside = (found >= bounds[:, 0] - extent) & (found <= bounds[:, 1] + extent)
-    lost = (~inside.flatten(1).all(dim=1)).nonzero()
+    lost = far_outside(found, bounds) | ~found.isfinite().all(dim=-1)
+    lost = lost.any(dim=1).nonzero()
     return int(lost[0]) + 1 if len(lost) else None
 
 

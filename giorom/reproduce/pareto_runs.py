@@ -27,6 +27,7 @@ from giorom.evaluation.coarse_solver import (
 from giorom.evaluation.comparison import surroundings_of, trivial_predictions
 from giorom.evaluation.metrics import squared_error_per_frame
 from giorom.evaluation.noise_floor import deviation, seed_elsewhere
+from giorom.evaluation.rollout import far_outside
 from giorom.fields import FieldDecoder
 from giorom.mpm import Scene, SimulationError, SolverConfig, draw_scene
 from giorom.pipeline import Decode, rollout, start_from_trajectory
@@ -110,8 +111,6 @@ def _run_one(
     frames = trajectory.frame_count - history
     decode = decoder(field, trajectory, samples)
     truth = trajectory.position[history:]
-    extent = trajectory.bounds[:, 1] - trajectory.bounds[:, 0]
-    low, high = trajectory.bounds[:, 0] - extent, trajectory.bounds[:, 1] + extent
 
     def motion() -> Iterator[tuple[Tensor, Tensor]]:
         state = start_from_trajectory(trajectory, samples, history=history)
@@ -128,7 +127,7 @@ def _run_one(
     seconds, sparse, full = [], [], []
     try:
         for taken, (position, everything) in timed(motion()):
-            if bool(((position < low) | (position > high)).any()):
+            if bool(far_outside(position, trajectory.bounds).any()):
                 break
             seconds.append(taken)
             sparse.append(position)

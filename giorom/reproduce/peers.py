@@ -1,8 +1,6 @@
 """The peers that Table 3 lacks: newer networks and a linear model, in the setting of Table 3."""
 
-from typing import Any
-
-from giorom.reproduce.drawing import draw_systems
+from giorom.reproduce.drawing import panels_of
 from giorom.reproduce.methods import NEWER_ROWS
 from giorom.reproduce.report import Result
 from giorom.reproduce.scale import SYSTEMS_3D
@@ -23,9 +21,6 @@ def run(study: Study) -> Result:
     )
     rows = compare_steppers(study, comparison)
 
-    def draw(figure: Any) -> None:
-        draw_systems(figure, rows, value="rollout_mse", label="rollout MSE [m²]")
-
     columns = [column for column in COLUMNS if column not in ("paper", "ratio")]
     return Result(
         id="peers",
@@ -33,5 +28,5 @@ def run(study: Study) -> Result:
         columns=columns,
         rows=rows,
         notes=[*ranks(rows), "One seed each; Table 3 has all.", *notes()[:5]],
-        draw=draw,
+        draw=panels_of(rows),
     )

@@ -12,7 +12,7 @@ from torch import Tensor
 from giorom.data.trajectory_file import iterate_trajectories
 from giorom.evaluation.rollout import SparseRollout, roll_out
 from giorom.graph import Edges
-from giorom.pipeline import Connect, Dynamics, connect_within, start_from_trajectory, unconnected
+from giorom.pipeline import Connect, start_from_trajectory
 from giorom.reproduce.study import Study, Trial
 from giorom.reproduce.tuning import tuned
 from giorom.simulator import Simulator
@@ -79,25 +79,6 @@ def train_tuned(study: Study, trials: list[Trial]) -> list[str]:
     for trial in chosen:
         study.training(trial)  # so that the result knows what it cost
     return [study.folder(trial).name for trial in chosen]
-
-
-def connect_at(
-    simulator: Simulator, radius: float | None, *, rescaled: bool, kind: str | None = None
-) -> Connect:
-    """The graph of a simulator at another radius.
-
-    Args:
-        simulator: The simulator; its unit of length changes if ``rescaled``.
-        radius: Radius of the graph [m]; none: as trained.
-        rescaled: Whether the features are measured in the new radius, as the official code does.
-        kind: Another kind of graph; none: as trained.
-    """
-    dynamics, graph = simulator.dynamics, simulator.config.graph
-    if not isinstance(dynamics, Dynamics):
-        return unconnected
-    radius = graph.radius if radius is None else radius
-    dynamics.radius = radius if rescaled else graph.radius
-    return connect_within(radius, configuration=graph.configuration, kind=kind or graph.kind)
 
 
 def roll(

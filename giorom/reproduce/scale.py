@@ -54,6 +54,9 @@ class Scale:
     networks: dict[str, Any] = field(default_factory=dict)
     """Values of the experiment for every network."""
 
+    alone: bool = True
+    """Whether each measurement of time and memory has a process of its own."""
+
     needs_gpu: bool = False
     """Whether it is hopeless on a CPU."""
 
@@ -143,6 +146,7 @@ def _tiny() -> Scale:
     return Scale(
         name="tiny",
         systems=systems,
+        alone=False,
         seeds=1,
         budget=Budget(steps=2),
         tuning_budget=Budget(steps=1),

@@ -8,7 +8,7 @@ networks reached.
 from dataclasses import dataclass, replace
 from typing import Any
 
-from giorom.reproduce.compare import over_seeds, paired, score_columns
+from giorom.reproduce.compare import over_seeds, paired, score_columns, with_ratio
 from giorom.reproduce.methods import METHODS
 from giorom.reproduce.study import Study, Trial
 from giorom.reproduce.tuning import chosen_pair, tuned
@@ -122,17 +122,6 @@ def _system_rows(
         row |= with_ratio(row["rollout_mse"], paper.get(method))
         rows.append(row)
     return rows + _trivial_rows(system, ours[0])
-
-
-def with_ratio(value: float | None, paper: float | None) -> dict[str, float | None]:
-    """A number of the paper, and ours in units of it.
-
-    Args:
-        value: Ours; none where there is none.
-        paper: The paper's, likewise.
-    """
-    known = value is not None and paper
-    return {"paper": paper, "ratio": value / paper if known else None}
 
 
 def ranks(rows: list[dict[str, Any]], *, column: str = "rollout_mse") -> list[str]:

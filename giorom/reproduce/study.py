@@ -17,12 +17,13 @@ from typing import Any
 from giorom.config import Experiment, load_experiment, merged
 from giorom.data.atomic import write_json
 from giorom.data.trajectory_file import trajectory_count
+from giorom.evaluation.fresh_process import call_afresh
 from giorom.generate import generate
 from giorom.records import nearest
 from giorom.reproduce.methods import METHODS
 from giorom.reproduce.scale import Scale
 from giorom.reproduce.trial import Trial, finite, identity_of, score_run, train_trial, unscored
-from giorom.reproduce.workers import Task, run_tasks
+from giorom.reproduce.workers import Task, one_thread, run_tasks
 from giorom.training.training_config import Budget
 from giorom.version import __version__
 
@@ -269,6 +270,18 @@ class Study:
             names=[name] * len(missing),
         )
         return [self.kept(name, key, partial(make, self, key)) for key in keys]
+
+    def alone(self, measure: Callable[[Any], Any], case: Any) -> Any:
+        """A measurement of time or memory, in a process of its own if the scale says so.
+
+        Args:
+            measure: Function of a module.
+            case: What it measures.
+        """
+        if self.scale.alone:
+            return call_afresh(measure, case)
+        with one_thread():
+            return measure(case)
 
     def work(self, tasks: list[Task], *, names: list[str]) -> None:
         """Work off tasks in ``jobs`` processes; each leaves what it makes in files."""

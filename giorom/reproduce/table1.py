@@ -3,11 +3,10 @@
 from typing import Any
 
 from giorom.evaluation.paper import PAPER, PaperRow
-from giorom.reproduce.compare import over_seeds, score_columns
-from giorom.reproduce.drawing import draw_systems
+from giorom.reproduce.compare import over_seeds, score_columns, with_ratio
+from giorom.reproduce.drawing import panels_of
 from giorom.reproduce.report import Result
 from giorom.reproduce.scale import SYSTEMS
-from giorom.reproduce.stepper_table import with_ratio
 from giorom.reproduce.study import Study, Trial
 
 TITLE = "Table 1: one-step and rollout error on all particles of eight systems"
@@ -51,11 +50,7 @@ def run(study: Study) -> Result:
         _row(system, [study.scores(trial) for trial in found], PAPER[system])
         for system, found in trials.items()
     ]
-
-    def draw(figure: Any) -> None:
-        drawn = [row | {"name": row["system"], "system": "rollout, all particles"} for row in rows]
-        draw_systems(figure, drawn, value="rollout_mse", label="rollout MSE [m²]")
-
+    drawn = [row | {"name": row["system"], "system": "rollout, all particles"} for row in rows]
     return Result(
         id="table1",
         title=TITLE,
@@ -72,7 +67,7 @@ def run(study: Study) -> Result:
             "ours over theirs. Bodies, particles and frames are ours, so that it is a scale and "
             "not a like-for-like comparison. The cross in the picture is the paper's.",
         ],
-        draw=draw,
+        draw=panels_of(drawn),
     )
 
 

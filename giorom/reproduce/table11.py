@@ -12,11 +12,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from giorom.evaluation.mechanics import smallest_distance
+from giorom.evaluation.stage_speed import connect_at
 from giorom.reproduce.compare import over_seeds
 from giorom.reproduce.report import Result
 from giorom.reproduce.rollouts import (
     Case,
-    connect_at,
     first_test_trajectory,
     joined_components,
     roll,

@@ -10,16 +10,16 @@ from typing import Any
 import torch
 
 from giorom.data.trajectory_file import iterate_trajectories
+from giorom.evaluation.discretisation import rebuilt
 from giorom.pipeline import start_from_trajectory
-from giorom.reproduce.ablation import ERRORS, Variant, network_of, trials_of, with_ratio
+from giorom.reproduce.ablation import ERRORS, Variant, network_of, trials_of
 from giorom.reproduce.changed_model import (
     changed_row,
-    rebuilt,
     score_simulator,
     with_latent_grid,
 )
 from giorom.reproduce.charts import OTHER, OURS, draw_paper, draw_rows, finish
-from giorom.reproduce.compare import over_seeds
+from giorom.reproduce.compare import over_seeds, with_ratio
 from giorom.reproduce.report import Result
 from giorom.reproduce.rollouts import trained_model
 from giorom.reproduce.study import Study
@@ -57,7 +57,7 @@ def run(study: Study) -> Result:
         row = labels | changed_row(study, trials, scores, ERRORS)
         for name in ("reach", "coverage", "tokens"):
             row |= over_seeds(name, [None if e is None else e[name] for e in several])
-        rows.append(with_ratio(row, PAPER[side]))
+        rows.append(row | with_ratio(row["rollout_mse"], PAPER[side]))
     return Result(
         id="table12",
         title=TITLE,

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from giorom.data.trajectory_file import iterate_trajectories
+from giorom.evaluation.discretisation import rebuilt
 from giorom.graph import Edges
 from giorom.pipeline import start_from_trajectory
 from giorom.reproduce.ablation import (
@@ -20,16 +21,14 @@ from giorom.reproduce.ablation import (
     together,
     train_variants,
     trials_of,
-    with_ratio,
 )
 from giorom.reproduce.changed_model import (
     changed_row,
-    rebuilt,
     score_simulator,
     with_graph,
 )
 from giorom.reproduce.charts import OTHER, OURS, draw_paper, draw_rows, finish, name_places
-from giorom.reproduce.compare import over_seeds
+from giorom.reproduce.compare import over_seeds, with_ratio
 from giorom.reproduce.report import Result
 from giorom.reproduce.rollouts import joined_components, trained_model
 from giorom.reproduce.study import Study
@@ -131,7 +130,7 @@ def _changed(study: Study, trials: list[Trial], kind: str) -> dict[str, Any]:
     labels = {"sampling": "farthest", "graph": GRAPHS[kind], "trained_on": GRAPHS["radius"]}
     row = labels | changed_row(study, trials, scores, ERRORS) | {"seeds": len(trials)}
     row |= _graph_columns(study, trials, kind=kind)
-    return with_ratio(row, None)
+    return row | with_ratio(row["rollout_mse"], None)
 
 
 def score_with_graph(study: Study, key: dict[str, Any]) -> dict[str, Any] | None:

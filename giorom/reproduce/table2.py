@@ -7,11 +7,10 @@ from giorom.data.trajectory_file import iterate_trajectories
 from giorom.evaluation.discretisation import at_density, evaluate_at_density
 from giorom.evaluation.evaluate import summarize
 from giorom.generate.held_out import HELD_OUT_SEED, held_out_trajectories
-from giorom.reproduce.compare import over_seeds
-from giorom.reproduce.drawing import draw_systems
+from giorom.reproduce.compare import over_seeds, with_ratio
+from giorom.reproduce.drawing import panels_of
 from giorom.reproduce.methods import METHODS
 from giorom.reproduce.report import Result
-from giorom.reproduce.stepper_table import with_ratio
 from giorom.reproduce.study import Study, Trial
 from giorom.reproduce.tuning import tuned
 from giorom.simulator import Simulator
@@ -67,13 +66,7 @@ def run(study: Study) -> Result:
     study.train_all(trials, score=False)
     _shape_sets(study)
     rows = _method_rows(study, trials[:-1]) + _method_rows(study, trials[-1:])
-
-    def draw(figure: Any) -> None:
-        drawn = [row | {"system": row["name"], "name": row["setting"]} for row in rows]
-        draw_systems(
-            figure, drawn, value="rollout_mse", label="rollout MSE [m²]", ours="as trained"
-        )
-
+    drawn = [row | {"system": row["name"], "name": row["setting"]} for row in rows]
     return Result(
         id="table2",
         title=TITLE,
@@ -92,7 +85,7 @@ def run(study: Study) -> Result:
             "The paper has no row for its own trained number; its row of unseen geometry has other "
             "numbers of points too.",
         ],
-        draw=draw,
+        draw=panels_of(drawn, ours="as trained"),
     )
 
 

@@ -1,8 +1,6 @@
 """Table 3: rollout error of the samples, time-stepper against time-stepper, on four 3-D systems."""
 
-from typing import Any
-
-from giorom.reproduce.drawing import draw_systems
+from giorom.reproduce.drawing import panels_of
 from giorom.reproduce.methods import PAPER_ROWS
 from giorom.reproduce.report import Result
 from giorom.reproduce.scale import SYSTEMS_3D
@@ -34,16 +32,13 @@ def run(study: Study) -> Result:
     )
     rows = compare_steppers(study, comparison)
 
-    def draw(figure: Any) -> None:
-        draw_systems(figure, rows, value="rollout_mse", label="rollout MSE [m²]")
-
     return Result(
         id="table3",
         title=TITLE,
         columns=COLUMNS,
         rows=rows,
         notes=[*ranks(rows), *notes()],
-        draw=draw,
+        draw=panels_of(rows),
     )
 
 

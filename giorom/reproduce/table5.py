@@ -2,12 +2,12 @@
 
 from typing import Any
 
-from giorom.reproduce.compare import paired, score_columns
-from giorom.reproduce.drawing import draw_systems
+from giorom.reproduce.compare import paired, score_columns, with_ratio
+from giorom.reproduce.drawing import panels_of
 from giorom.reproduce.methods import METHODS
 from giorom.reproduce.report import Result
 from giorom.reproduce.scale import SYSTEMS_3D
-from giorom.reproduce.stepper_table import ranks, relative, with_ratio
+from giorom.reproduce.stepper_table import ranks, relative
 from giorom.reproduce.study import Study, Trial
 from giorom.reproduce.tuning import chosen_pair, tuned
 
@@ -61,10 +61,6 @@ def run(study: Study) -> Result:
     study.train_all(trials)
     rows = [row for system in SYSTEMS_3D for row in _system_rows(study, system, trials)]
 
-    def draw(figure: Any) -> None:
-        drawn = [row | {"paper": None} for row in rows]
-        draw_systems(figure, drawn, value="rollout_mse", label="rollout MSE [m²]")
-
     return Result(
         id="table5",
         title=TITLE,
@@ -82,7 +78,7 @@ def run(study: Study) -> Result:
             "`times ours`: error of all particles over that of ours, geometric mean over test "
             "trajectories, with the 95 % interval of a bootstrap over them.",
         ],
-        draw=draw,
+        draw=panels_of([row | {"paper": None} for row in rows]),
     )
 
 

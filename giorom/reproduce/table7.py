@@ -19,6 +19,7 @@ from giorom.reproduce.timing_table import (
     shrink_note,
     step_row,
     timing_notes,
+    upscale_note,
     upscale_seconds,
 )
 
@@ -66,8 +67,7 @@ def run(study: Study) -> Result:
         notes=[
             *shrink_note(size.shrink_radii, what=f"The paper has {PAPER_POINTS} points."),
             *timing_notes(study),
-            f"`upscale` recovers {found['points']} points by moving least squares (transport), "
-            f"binding included, and is not part of the seconds.",
+            upscale_note(found),
         ],
         draw=draw_times(rows, over="radius", label="radius of the graph [m]", title=TITLE),
     )

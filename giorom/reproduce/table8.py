@@ -14,6 +14,7 @@ from giorom.reproduce.timing_table import (
     shrink_note,
     step_row,
     timing_notes,
+    upscale_note,
     upscale_seconds,
 )
 
@@ -64,8 +65,7 @@ def run(study: Study) -> Result:
         notes=[
             *shrink_note(size.shrink_points, what=f"The radius is {radius:.4g} m everywhere."),
             *timing_notes(study),
-            f"`upscale` recovers {decoded['points']} points by moving least squares (transport), "
-            f"binding included, and is not part of the seconds.",
+            upscale_note(decoded),
         ],
         draw=draw_times(rows, over="points", label="points", title=TITLE),
     )

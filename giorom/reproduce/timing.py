@@ -22,7 +22,6 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 from giorom.data.trajectory_file import write_trajectory_file
-from giorom.evaluation.fresh_process import call_afresh
 from giorom.evaluation.referee import scene_with_points
 from giorom.evaluation.stage_speed import DecodeCase, StepCase, measure_decode, measure_step
 from giorom.experiment import build_simulator
@@ -82,9 +81,6 @@ class TimingSize:
     modes: int = 32
     """Modes of the linear bases."""
 
-    afresh: bool = True
-    """Whether each measurement has a process of its own."""
-
 
 SIZES: dict[str, TimingSize] = {
     "tiny": TimingSize(
@@ -97,7 +93,6 @@ SIZES: dict[str, TimingSize] = {
         seconds=1.0,
         most_edges=20_000,
         modes=4,
-        afresh=False,
     ),
     "cpu": TimingSize(
         body_points=5000,
@@ -248,7 +243,7 @@ class TimedBody:
                 threads=self.study.jobs,
                 device=self.study.device,
             )
-            return self._measured(measure_step, case)
+            return self.study.alone(measure_step, case)
 
         return self._kept("step", {"method": method, "points": points, "radius": radius}, make)
 
@@ -262,19 +257,10 @@ class TimedBody:
                 threads=self.study.jobs,
                 device=self.study.device,
             )
-            return self._measured(measure_decode, case)
+            return self.study.alone(measure_decode, case)
 
         key = {"field": field, "points": points, "sparse_points": sparse_points}
         return self._kept("decode", key, make)
-
-    def _measured(self, measure: Callable[[Any], dict[str, Any]], case: Any) -> dict[str, Any]:
-        if self.size.afresh:
-            return call_afresh(measure, case)
-        threads = torch.get_num_threads()
-        try:
-            return measure(case)
-        finally:
-            torch.set_num_threads(threads)
 
     def _kept(self, name: str, key: dict[str, Any], make: Callable[[], Any]) -> dict[str, Any]:
         size = {"steps": self.size.steps, "body": self.size.body_points, "seed": SEED}

@@ -111,10 +111,22 @@ def timing_notes(study: Study) -> list[str]:
         "The grid stepper (`default`) has no graph and no radius; `network` is its whole step, "
         "integration included. Its grid is that of the preset whatever the number of points.",
         f"Memory is {memory}."
-        + ("" if size.afresh else " At this scale it was measured in the running process."),
+        + ("" if study.scale.alone else " At this scale it was measured in the running process."),
         "The paper timed an RTX 3060, with graphs built on its CPU, and does not give the number "
         "of edges; `times papers network` is what can be compared across machines.",
     ]
+
+
+def upscale_note(found: dict[str, Any]) -> str:
+    """What the column ``upscale_seconds`` counts.
+
+    Args:
+        found: What ``measure_decode`` gave for moving least squares.
+    """
+    return (
+        f"`upscale` recovers {found['points']} points by moving least squares (transport), "
+        f"binding included, and is not part of the seconds."
+    )
 
 
 def shrink_note(shrink: float, *, what: str) -> list[str]:
