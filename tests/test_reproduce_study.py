@@ -46,6 +46,14 @@ def forbid(*arguments, **options):
     raise AssertionError("made again")
 
 
+def test_a_result_knows_what_its_trainings_cost_where_others_made_them(study):
+    """A task of another process, or of this one in its stead, has a study of its own."""
+    study.train_all([LINEAR], score=False)
+    (record,) = study.used.values()
+    assert record["method"] == "linear"
+    assert record["seconds"] > 0.0
+
+
 def test_what_is_finished_is_never_made_again(study, monkeypatch):
     """A second study in the same folder reads data set, model and score."""
     first = study.scores(LINEAR)

@@ -110,8 +110,6 @@ def _trained(study: Study, system: str, methods: list[str]) -> dict[str, Trial]:
     names = list(dict.fromkeys(("default", *methods)))
     trials = tuned(study, [Trial(system=system, method=m, seed=study.seed) for m in names])
     study.train_all(trials, score=False)
-    for trial in trials:
-        study.training(trial)  # so that the result knows what it cost
     return dict(zip(names, trials, strict=True))
 
 

@@ -76,8 +76,6 @@ def train_tuned(study: Study, trials: list[Trial]) -> list[str]:
     """
     chosen = tuned(study, trials)
     study.train_all(chosen, score=False)
-    for trial in chosen:
-        study.training(trial)  # so that the result knows what it cost
     return [study.folder(trial).name for trial in chosen]
 
 

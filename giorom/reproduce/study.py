@@ -235,6 +235,8 @@ class Study:
             [(_train_and_score, (self._plain(), trial, score, full)) for trial in missing],
             names=[f"{t.system} {t.method}, seed {t.seed}" for t in missing],
         )
+        for trial in wanted.values():
+            self.training(trial)  # so that the result knows what it cost
 
     def kept(self, name: str, key: dict[str, Any], make: Callable[[], Any]) -> Any:
         """A small result, made once.
